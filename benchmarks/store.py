@@ -20,10 +20,10 @@ import numpy as np
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Effort, Project, RunShare, WriteContext, create_project, open_project
-from annotator.project.changes import LabelAccepted, LabelEdited, Payload, ProposalsReplaced, ProposedObject
+from annotator.project.changes import LabelAccepted, LabelEdited, NewLabel, Payload, ProposalsReplaced
 from annotator.project.jobs import record_result
 from annotator.project.log import Writer
-from annotator.project.records import BoxRecord, ProposalRecord
+from annotator.project.records import BoxRecord
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, ReviewState, Source
 from annotator.workflows.importing import BoxFormat, import_proposals, read_labels
 from annotator.workflows.workbench.review_queue import Order, queue
@@ -85,16 +85,17 @@ def _statistics(folder: Path, frames: int) -> dict[str, float]:
     with create_project(folder, "worked", (LABEL,)) as project:
         _add(project, folder, frames)
         run = project.jobs.start(image_detector="a", view_detector="b", config_json="{}").id
-        writer = Writer(project.store, project.path)
+        writer = Writer(project.store)
         with project.store.write() as connection:
             for number, frame in enumerate(project.frames.of()):
                 uids = [f"{number}-{place}" for place in range(len(boxes))]
-                proposed = [
-                    ProposedObject(uid=uid, proposal=ProposalRecord.of(_proposal(2.0 * place + 0.1)))
-                    for place, uid in enumerate(uids)
+                proposed = [_proposal(2.0 * place + 0.1) for place in range(len(uids))]
+                new = [
+                    NewLabel(LABEL, each.box, state=ReviewState.PROPOSED, proposal=each, uid=uid)
+                    for each, uid in zip(proposed, uids, strict=True)
                 ]
                 record_result(connection, run, frame.id, 0.1, time_ns=writer.store.clock(), proposals=len(proposed))
-                replaced = ProposalsReplaced(run=run, objects=tuple(proposed))
+                replaced = ProposalsReplaced(proposed, new, run)
                 writer.to_frame_in(connection, frame.id, [replaced], WriteContext(0, "rcv", Source.AUTO))
                 decisions: list[Payload] = [LabelAccepted(uid=uid) for uid in uids[1:]]
                 decisions.append(LabelEdited(uid=uids[0], label=LABEL, box=BoxRecord.of(boxes[0])))

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Collection, Iterator, Mapping
-from itertools import count
-from pathlib import Path
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from pydantic import ValidationError
 from tyro.conf import arg
 
-from annotator.cli.options import AsJson, names_in, projects_root
+from annotator.cli.options import AsJson, names_in
 from annotator.cli.output import facts, print_line, print_result
 from annotator.project import Project, ProjectConfig
 from annotator.project.classes import edit
-from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle, value_text
+from annotator.project.classes.attributes import (
+    Attribute,
+    AttributeKind,
+    AttributeOf,
+    ClassStyle,
+    Relabelling,
+    value_text,
+)
 from annotator.project.classes.counts import ClassCounts
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.overview import ClassRow, list_classes
-from annotator.project.project import change_classes
 from annotator.types.errors import ConfigError
 from annotator.types.messages import amount, first_problem
 
@@ -36,11 +40,7 @@ Key = Annotated[str | None, arg(help="key on the page, one of 0 to 9 and a to z.
 def show(project: Project, /, *, as_json: AsJson = False) -> None:
     """List a project's classes, with the number of their boxes, and its attributes."""
     listed = list_classes(project)
-    lines = [
-        *facts((row.name, _described(row)) for row in listed.classes),
-        *facts((f"{row.name} (no class of the project)", _described(row)) for row in listed.unknown),
-        *map(_attribute_line, listed.attributes),
-    ]
+    lines = [*facts((row.name, _described(row)) for row in listed.classes), *map(_attribute_line, listed.attributes)]
     print_result(listed, lines, as_json)
 
 
@@ -110,23 +110,13 @@ def rename(project: Project, old: str, new: str, /) -> None:
 def merge(project: Project, old: tuple[str, ...], /, *, into: str) -> None:
     """Give all boxes of some classes to another class, and remove these classes.
 
-    Undo does not take this back. A backup is made before.
-
     Args:
-        old: names of the classes, or of boxes whose class was removed from project.json by hand; with spaces or commas
-            between them.
+        old: names of the classes, with spaces or commas between them.
         into: class that gets the boxes.
     """
 
-    def merged(config: ProjectConfig) -> ClassEdit:
-        for name in names:
-            if name not in counts:
-                edit.require_class(config, name)
-        return edit.merge_classes(config, names, into)
-
-    counts = project.class_counts()
-    names = names_in(old, {*counts, *project.config.classes})
-    _change(project, merged, *names)
+    names = names_in(old, project.config.classes)
+    _change(project, lambda config: edit.merge_classes(config, names, into), *names)
 
 
 def remove(
@@ -141,7 +131,7 @@ def remove(
 
     Args:
         into: class that gets the boxes.
-        with_boxes: also remove all boxes of the class; they remain only in a backup that is made just before.
+        with_boxes: also remove all boxes of the class.
     """
     if into is not None:
         if with_boxes:
@@ -151,7 +141,7 @@ def remove(
 
     def removed(config: ProjectConfig) -> ClassEdit:
         made = edit.remove_class(config, name)
-        return made if with_boxes else ClassEdit(made.config)
+        return made if with_boxes else replace(made, change=Relabelling())
 
     _change(project, removed, *([name] if with_boxes else []), verb="removed with the class")
 
@@ -261,26 +251,12 @@ def _change(
 ) -> ProjectConfig:
     """Changes a project; prints how many boxes of the classes `followed` were concerned, and the classes."""
     before = project.class_counts()
-    config, backup = change_classes(project, change, AUTHOR)
+    config = project.change_classes(change, AUTHOR)
     for line in _followed(before, followed, verb):
         print_line(line)
-    if backup is not None:
-        print_line(f"backed up before: {backup}")
-        command = _restoring(project.path, backup)
-        print_line(
-            f"undo does not take this back; to have the boxes and values of before in a second project: {command}"
-        )
     if show_classes:
         print_line(f"{config.name}: {', '.join(config.classes)}")
     return config
-
-
-def _restoring(project: Path, backup: Path) -> str:
-    """The command that makes a second project of a backup."""
-    root = project.parent
-    other = next(free for n in count(1) if not (root / (free := f"{project.name[:40]}-before-{n}")).exists())
-    where = [] if root == projects_root(None) else ["--projects", str(root)]
-    return shlex.join(["annotator", "project", "restore", str(backup), other, *where])
 
 
 def _followed(before: dict[str, ClassCounts], names: tuple[str, ...], verb: str) -> Iterator[str]:

@@ -52,6 +52,7 @@ COMMANDS: dict[str, Command] = {
     "calibrate": Command("adjust:run_calibrate", "show or correct where clouds lie relative to images"),
     "project move": Command("project:run_move", "set the new path of a moved recording"),
     "project remove": Command("project:run_remove", "remove a recording, or a whole project"),
+    "project undo": Command("project:run_undo", "undo the last action, such as a run of annotate"),
     "project rename": Command("project:run_rename", "rename a project"),
     "project backup": Command("project:run_backup", "write a backup, also while a server runs"),
     "project restore": Command("project:run_restore", "make a project of a backup"),

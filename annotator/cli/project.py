@@ -15,7 +15,7 @@ from annotator.project.backup.repair import repair
 from annotator.project.backup.take_in import copy_project, restore
 from annotator.project.backup.verify import Verification, verify
 from annotator.project.config import rename_project, set_aside
-from annotator.types.errors import AnnotatorError
+from annotator.types.errors import AnnotatorError, ConfigError
 from annotator.types.messages import amount, first_few
 from annotator.workflows.add_recordings import move_recording
 
@@ -53,6 +53,23 @@ def run_move(project: Project, recording: options.RecordingName, path: Path, /) 
     new = now.frames - before.frames if before.removed_by is None else 0
     grown = f" ({new} new)" if new > 0 else ""
     print_line(f"{now.name}: {amount(now.frames, 'frame')}{grown}, now at {now.path}")
+
+
+def run_undo(project: Project, /, *, author: str | None = None, redo: bool = False) -> None:
+    """Undo the last action: a whole run of `annotate` or `lift`, a change of the classes, or what was done on the page.
+
+    It is refused where somebody has changed the same since.
+
+    Args:
+        author: whose last action; default: the last one of all.
+        redo: redo what was undone last.
+    """
+    history = project.history
+    name = author or history.last_author(undone=redo)
+    if name is None:
+        raise ConfigError(f"{project.path.name} has nothing to {'redo' if redo else 'undo'}")
+    done = (history.redo if redo else history.undo)(name)
+    print_line(f"{'redone' if redo else 'undone'}: {done.words}, by {name}")
 
 
 REMOVE_AUTHOR = "annotator project remove"

@@ -95,7 +95,7 @@ class Adjustments:
             row = adjustment_row(recording_id, change(before))
             context = WriteContext(frame.revision, author, effort=basis.effort)
             where = require_writable(connection, frame.id, context)
-            write = Write(self.writer.store, self.writer.folder, connection, frame.id, where, context, new_action())
+            write = Write(self.writer.store, connection, frame.id, where, context, new_action())
             write.put("adjustments", recording_id, row)
             write.event(KIND)
             receipt = write.finish()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import uuid
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, ClassVar
@@ -12,8 +12,8 @@ from typing import Annotated, ClassVar
 from pydantic import Field
 
 from annotator.project.classes.attributes import AttributeName, Value
-from annotator.project.records import BoxRecord, Exact, ProposalRecord, SaidRecord, ViewGeometry
-from annotator.types import Box2D, BoxKind, LostObject, OrientedBox, Proposal, ReviewState, Suggestion
+from annotator.project.records import BoxRecord, Exact, SaidRecord, ViewGeometry
+from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, ReviewState, Suggestion
 from annotator.types.errors import ProjectError
 from annotator.types.label import MOST_TRACK, AttributeValue, Said
 
@@ -73,36 +73,6 @@ class ViewBoxesRemoved(_Checked):
     view: ViewId
 
 
-class ProposedObject(Exact):
-    """One proposal of an automatic pass.
-
-    Attributes:
-        uid: of the label created from it.
-        covered_by: uid of the reviewed label of the same object; if set, no label is created.
-        track_id: the object's id over the recording, if the pass followed it from another frame.
-    """
-
-    uid: Uid
-    proposal: ProposalRecord
-    covered_by: Uid | None = None
-    track_id: TrackId | None = None
-
-
-class ProposalsReplaced(_Checked):
-    """An automatic pass: its proposals replace all unreviewed labels, except kept ones and those of other software.
-
-    Attributes:
-        objects: every proposal with its trace, also those covered by a reviewed label.
-        lost: frustums without a resulting box.
-    """
-
-    kind = "proposals_replaced"
-    run: int | None = None
-    objects: tuple[ProposedObject, ...]
-    lost: tuple[LostObject, ...] = ()
-    box_kind: BoxKind = BoxKind.BOX
-
-
 @dataclass(frozen=True, eq=False)
 class NewLabel(Payload):
     """A 3D box, camera frame, that no automatic pass proposed: made by an operator, or imported.
@@ -118,7 +88,7 @@ class NewLabel(Payload):
         origin: how an operator made it, if one did.
         said: what other sources say of the object.
         file_track_id: as in `SaidRecord`, of a box that `Proposals.bring` gets.
-        proposal: with its trace, if the recursion found the box.
+        proposal: if the recursion found the box.
 
     Raises ProjectError for a track id beyond `MOST_TRACK`.
     """
@@ -150,6 +120,21 @@ class NewLabel(Payload):
     def is_requested(self) -> bool:
         """Whether it is a proposal."""
         return self.state is ReviewState.PROPOSED
+
+
+@dataclass(frozen=True, eq=False)
+class ProposalsReplaced(Payload):
+    """An automatic pass: its proposals replace all unreviewed labels, except kept ones and those of other software.
+
+    Attributes:
+        found: all proposals, also those that a reviewed label covers.
+        new: the labels of the others.
+    """
+
+    kind = "proposals_replaced"
+    found: Sequence[Proposal]
+    new: Sequence[NewLabel]
+    run: int | None = None
 
 
 REQUESTED = "label_proposed"

@@ -1,8 +1,7 @@
-"""A project's folder, and its `project.json`: name, classes and settings, which may be edited by hand."""
+"""A project's folder, and its `project.json`: name and settings, which may be edited by hand."""
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 import weakref
@@ -11,14 +10,14 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, Field, JsonValue, ValidationError, model_serializer, model_validator
-from sqlalchemy import Connection, select
+from pydantic import AfterValidator, BaseModel, Field, JsonValue, ValidationError, model_validator
 
 from annotator.files import lock_folder, private_folder, read_file, sync_folder, write_atomic
 from annotator.project.classes.attributes import Attribute, ClassStyle
-from annotator.project.database.schema import class_changes
+from annotator.project.database.migrations import UNRELEASED
+from annotator.project.rows import Terms
 from annotator.text import is_within
 from annotator.types.bases import Strict
 from annotator.types.errors import RESTORE, ConfigError, InUseError, ProjectError
@@ -26,7 +25,7 @@ from annotator.types.messages import first_problem
 
 CONFIG_FILE = "project.json"
 BACKUPS = ".backups"  # folder of automatic backups, beside the projects
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 NAME_PATTERN = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 
 
@@ -98,22 +97,26 @@ class ProjectSettings(Strict):
     backups_kept: int = Field(5, ge=1, le=1000)
 
 
-class ProjectConfig(Strict):
-    """The content of `project.json`.
-
-    Attributes:
-        name: the project's name; moving or renaming the folder does not change it.
-        classes: permitted class names of boxes, in the detectors' order.
-        class_styles: colours and keys of classes; a class without an entry has those by default.
-    """
+class ProjectFile(Strict):
+    """The content of `project.json`; `name`: moving or renaming the folder does not change it."""
 
     name: str
     format_version: int = Field(FORMAT_VERSION, ge=1)
     created_ns: int = Field(ge=0)
+    settings: ProjectSettings = ProjectSettings()
+
+
+class ProjectConfig(ProjectFile):
+    """The settings of a project, and its classes and attributes, which are rows of the database.
+
+    Attributes:
+        classes: permitted class names of boxes, in the detectors' order.
+        class_styles: colours and keys of classes; a class without an entry has those by default.
+    """
+
     classes: Annotated[tuple[str, ...], AfterValidator(_check_classes)]
     class_styles: dict[str, ClassStyle] = Field(default_factory=dict)
     attributes: tuple[Attribute, ...] = ()
-    settings: ProjectSettings = ProjectSettings()
 
     @model_validator(mode="after")
     def _consistent(self) -> ProjectConfig:
@@ -129,15 +132,6 @@ class ProjectConfig(Strict):
             )
         return self
 
-    @model_serializer(mode="wrap")
-    def _without_unused(self, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        unused = [name for name in ("class_styles", "attributes") if not getattr(self, name)]
-        return {name: value for name, value in handler(self).items() if name not in unused}
-
-    def attributes_of(self, label: str) -> tuple[Attribute, ...]:
-        """The attributes of a class's boxes and tracks."""
-        return tuple(attribute for attribute in self.attributes if attribute.is_of(label))
-
 
 def new_config(name: str, classes: tuple[str, ...], settings: ProjectSettings, created_ns: int) -> ProjectConfig:
     """The configuration of a new project."""
@@ -148,8 +142,8 @@ def new_config(name: str, classes: tuple[str, ...], settings: ProjectSettings, c
         raise ConfigError(f"project {name}: {first_problem(error)}") from error
 
 
-def read_config(folder: Path) -> ProjectConfig:
-    """The configuration of the project in `folder`."""
+def read_config(folder: Path) -> ProjectFile:
+    """The `project.json` of the project in `folder`."""
     path = folder / CONFIG_FILE
     try:
         if path.is_symlink() and not is_within(folder, path):
@@ -162,78 +156,41 @@ def read_config(folder: Path) -> ProjectConfig:
         raise ProjectError(f"{path}: cannot be read: {error}") from error
     try:
         version = _Version.model_validate_json(content).format_version
-        if version <= FORMAT_VERSION:
-            return ProjectConfig.model_validate_json(content)
+        if version == FORMAT_VERSION:
+            return ProjectFile.model_validate_json(content)
     except ValidationError as error:
         raise ProjectError(f"{path}: {first_problem(error)}; repair it or {RESTORE}") from error
+    if version < FORMAT_VERSION:
+        raise ProjectError(f"{path}: {UNRELEASED}")
     raise ProjectError(
         f"{path}: has format version {version}; this annotator reads up to {FORMAT_VERSION}; update annotator"
     )
 
 
-def config_bytes(config: ProjectConfig) -> bytes:
-    """The content of `project.json`."""
-    return (config.model_dump_json(indent=2) + "\n").encode()
-
-
-def write_config(folder: Path, config: ProjectConfig, name: str = CONFIG_FILE) -> Path:
-    """Writes `project.json` (or the file that is to take its place) atomically; returns its path."""
-    path = folder / name
+def write_config(folder: Path, config: ProjectFile) -> None:
+    """Writes `project.json` atomically."""
+    path = folder / CONFIG_FILE
+    content = config.model_dump_json(indent=2, include=set(ProjectFile.model_fields))
     try:
-        write_atomic(path, config_bytes(config))
+        write_atomic(path, f"{content}\n".encode())
     except OSError as error:
         raise ProjectError(f"{path}: cannot be written: {error}") from error
-    return path
+
+
+def whole_config(file: ProjectFile, terms: Terms) -> ProjectConfig:
+    """The settings of a project with the classes and attributes of a transaction.
+
+    Raises:
+        ValidationError: these contradict each other.
+    """
+    schema = {"classes": terms.classes, "class_styles": terms.styles, "attributes": terms.attributes}
+    return ProjectConfig.model_validate(dict(file) | schema)
 
 
 class _Version(BaseModel):
     """The field that every version of the file has."""
 
     format_version: int
-
-
-# --- changes of `project.json` together with the database -------------------------------------------------------------
-# Both have the old classes or both the new ones, also after a kill. The new file is written beside the old one before
-# the transaction ends, under a name with the number of its change. Afterwards it takes the old one's place. After a
-# kill, the next process looks for that change: if the table has it, the transaction has ended well, and the new file
-# counts; otherwise it is removed.
-
-_PREPARED = f"{CONFIG_FILE}.change-"
-
-
-def config_hash(config: ProjectConfig) -> str:
-    """SHA-256 (hex) of a configuration's file."""
-    return hashlib.sha256(config_bytes(config)).hexdigest()
-
-
-def prepare_config(folder: Path, config: ProjectConfig, number: int) -> Path:
-    """Writes the configuration that counts once the transaction of a change has ended; returns its file."""
-    return write_config(folder, config, f"{_PREPARED}{number}")
-
-
-def take_config(folder: Path, connection: Connection) -> ProjectConfig:
-    """The project's configuration, after a prepared one has taken its place, or was dropped."""
-    for path in sorted(folder.glob(f"{_PREPARED}*")):
-        try:
-            if _counts(path, connection):
-                path.replace(folder / CONFIG_FILE)
-                sync_folder(folder)
-            else:
-                path.unlink()
-        except FileNotFoundError:  # another process was faster
-            continue
-        except OSError as error:
-            raise ProjectError(f"{path}: cannot take the place of {CONFIG_FILE}: {error}") from error
-    return read_config(folder)
-
-
-def _counts(path: Path, connection: Connection) -> bool:
-    """Whether the table has the change, and not another one with its number, of a transaction that came later."""
-    number = path.name.removeprefix(_PREPARED)
-    if not number.isdecimal():
-        return False
-    query = select(class_changes.c.config).where(class_changes.c.id == int(number))
-    return connection.execute(query).scalar() == hashlib.sha256(read_file(path)).hexdigest()
 
 
 # --- the folder: in use, renamed, set aside ---------------------------------------------------------------------------

@@ -93,20 +93,18 @@ class Jobs:
     def pending(self, key: str, recordings: Collection[int] | None = None) -> tuple[StoredFrame, ...]:
         """The frames that a run with this key still has to process, in order.
 
-        Excluded are finalised frames, frames that the latest scan did not find, and frames whose latest pass had this
-        key and succeeded since their recording was adjusted. (After a pass with another key the frame holds that pass's
-        proposals, so it is processed again.)
+        Excluded are finalised frames, frames that the latest scan did not find, and those that have the proposals of a
+        run with this key, made since their recording was adjusted.
         """
-        adjusted = select(frames.c.id, events.c.time_ns).join(
-            adjustments, adjustments.c.recording_id == frames.c.recording_id
-        )
+        adjusted = select(adjustments.c.recording_id, events.c.time_ns)
         adjusted_ns = adjusted.join(events, events.c.id == adjustments.c.event_id).subquery()
-        latest = frame_results.outerjoin(adjusted_ns, adjusted_ns.c.id == frame_results.c.frame_id)
         done = (
-            select(frame_results.c.frame_id)
-            .select_from(latest)
+            select(frames.c.id)
+            .join(
+                frame_results, (frame_results.c.frame_id == frames.c.id) & (frame_results.c.run_id == frames.c.run_id)
+            )
+            .outerjoin(adjusted_ns, adjusted_ns.c.recording_id == frames.c.recording_id)
             .where(
-                frame_results.c.id.in_(latest_results()),
                 frame_results.c.key == key,
                 frame_results.c.status == Status.DONE.value,
                 frame_results.c.time_ns > func.coalesce(adjusted_ns.c.time_ns, -1),

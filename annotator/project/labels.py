@@ -23,7 +23,6 @@ from annotator.project.changes import (
 )
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.classes.values import is_kept, labels_of_tracks
-from annotator.project.config import read_config
 from annotator.project.database.schema import ALL_LABELS, LABELS_OF_MOMENT, AnyRow, frames, labels
 from annotator.project.log import FramePart, Writer
 from annotator.project.recordings import of_rig
@@ -211,11 +210,11 @@ class Labels:
         Returns:
             The changed frames with their receipts, that of the label first.
         """
-        attributes = read_config(self.writer.folder).attributes
-        along = [each for each in attributes if each.of is AttributeOf.TRACK and each.name in changed]
         # tells the label from those of its track that follow
         context = replace(context, effort_target=context.effort_target or uid)
         with self.writer.store.write() as connection:
+            of_tracks = [each for each in Terms(connection).attributes if each.of is AttributeOf.TRACK]
+            along = [each for each in of_tracks if each.name in changed]
             payloads = {frame_id: [LabelAttributesSet(uid=uid, attributes=dict(changed))]}
             revisions = {frame_id: context.revision}
             track = connection.execute(select(labels.c.track_id).where(labels.c.uid == uid)).scalar()
@@ -239,8 +238,8 @@ class Labels:
             rows = connection.execute(_VALUES_SET, {"frame": frame_id}).all()
             if not rows:
                 return frozenset()
-            attributes, terms = read_config(self.writer.folder).attributes, Terms(connection)
-            return frozenset(row.uid for row in rows if is_kept(dict(row._mapping), terms, attributes))
+            terms = Terms(connection)
+            return frozenset(row.uid for row in rows if is_kept(dict(row._mapping), terms))
 
     def reject(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
         """Rejects a label: the object does not exist, and is not proposed again."""

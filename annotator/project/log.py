@@ -5,14 +5,13 @@ from __future__ import annotations
 import uuid
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from sqlalchemy import Connection, bindparam, func, select
 
 from annotator.project.audit.events import Event, in_moment_of, read_events, rebuild
 from annotator.project.audit.making import make
 from annotator.project.audit.writing import Receipt, Write, WriteContext
-from annotator.project.changes import Payload, ProposalsReplaced, TracksLinked, ViewBoxesSet
+from annotator.project.changes import Payload, ViewBoxesSet
 from annotator.project.database.schema import ALL_LABELS, events, frames, recordings
 from annotator.project.database.store import Store
 from annotator.project.recordings import of_rig
@@ -59,14 +58,9 @@ class FramePart:
 
 @dataclass(frozen=True, eq=False)
 class Writer:
-    """The log of a project: changes it, and tells what was changed.
-
-    Attributes:
-        folder: the project's folder, whose `project.json` names the classes.
-    """
+    """The log of a project: changes it, and tells what was changed."""
 
     store: Store
-    folder: Path
 
     def append(
         self, frame_id: int, payloads: Sequence[Payload], context: WriteContext, action: str | None = None
@@ -85,20 +79,9 @@ class Writer:
     ) -> Receipt:
         """As `append`, within the caller's write transaction, as a part of an action over several frames if any."""
         where = require_writable(connection, frame_id, context)
-        # an operator can undo an import if its caller says so, by passing an action
-        is_by_hand = context.source is Source.MANUAL or (context.source is Source.IMPORTED and action is not None)
-        is_action = is_by_hand and not any(
-            isinstance(payload, ProposalsReplaced | TracksLinked) for payload in payloads
-        )
-        write = Write(
-            self.store,
-            self.folder,
-            connection,
-            frame_id,
-            where,
-            context,
-            (action or new_action()) if is_action else None,
-        )
+        # a pass or an import can be undone if its caller says so, by passing an action
+        action = new_action() if action is None and context.source is Source.MANUAL else action
+        write = Write(self.store, connection, frame_id, where, context, action)
         for payload in payloads:
             with storable(f"{where}: {payload.kind}"):
                 make(write, payload)
@@ -135,11 +118,10 @@ class Writer:
         """Sets boxes on a pseudo-view that belongs to no frame of the project."""
         where = f"view {payload.view[:12]}"
         with self.store.write() as connection:
-            of_view = (events.c.view_id == payload.view) & events.c.frame_id.is_(None)
-            revision = connection.execute(select(func.max(events.c.revision)).where(of_view)).scalar() or 0
+            revision = next_revision(connection, payload.view) - 1
             if revision != context.revision:
                 raise StaleRevisionError(where, context.revision, revision)
-            write = Write(self.store, self.folder, connection, None, where, context)
+            write = Write(self.store, connection, None, where, context)
             with storable(f"{where}: {payload.kind}"):
                 make(write, payload)
             return write.finish()
@@ -177,6 +159,12 @@ class Writer:
             return rebuild(connection)
 
 
+def next_revision(connection: Connection, view: str) -> int:
+    """The revision of the next event of what belongs to no frame: a view, or the classes."""
+    of_view = (events.c.view_id == view) & events.c.frame_id.is_(None)  # as the index has it
+    return (connection.execute(select(func.max(events.c.revision)).where(of_view)).scalar() or 0) + 1
+
+
 def new_action() -> str:
     """Returns an id for an action."""
     return uuid.uuid4().hex
@@ -188,7 +176,7 @@ def require_writable(connection: Connection, frame_id: int, context: WriteContex
     if row is None:
         raise NotFoundError(f"the project has no frame with id {frame_id}")
     where = f"frame {row.key} of recording {row.name}"
-    if row.removed_ns is not None:
+    if row.removed_ns is not None and context.undoes is None:
         raise NotFoundError(f"{where}: the recording was removed from the project; add it again to change its labels")
     if row.finalised and context.source is Source.AUTO:
         raise FinalisedFrameError(f"{where} is finalised, so automatic passes may not change it; reopen it first")

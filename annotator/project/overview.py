@@ -108,13 +108,11 @@ class ClassList(Strict):
     """The classes and attributes as JSON.
 
     Attributes:
-        unknown: names of boxes that are no classes of the project.
         values: how many boxes and frames have a value, by attribute.
     """
 
     classes: tuple[ClassRow, ...]
     attributes: tuple[Attribute, ...]
-    unknown: tuple[ClassRow, ...]
     values: dict[str, int]
 
 
@@ -124,7 +122,6 @@ def list_classes(project: Project) -> ClassList:
     return ClassList(
         classes=tuple(_row(name, counts, config.class_styles) for name in config.classes),
         attributes=config.attributes,
-        unknown=tuple(_row(name, counts, {}) for name in counts if name not in config.classes),
         values={name: sum(by_value.values()) for name, by_value in values.items()},
     )
 

@@ -9,18 +9,19 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from pydantic import ValidationError
 from sqlalchemy import Connection
 
 from annotator.project.adjustments import Adjustments
 from annotator.project.audit.history import History
 from annotator.project.backup.archive import MODELS_FOLDER, VIEWS_FOLDER, require_own_files
-from annotator.project.backup.make import Reason, back_up_automatically, back_up_before_upgrade
+from annotator.project.backup.make import back_up_before_upgrade
 from annotator.project.backup.snapshot import database_problems, new_project
 from annotator.project.boxes import Boxes, Views
 from annotator.project.classes.attributes import Relabelling
-from annotator.project.classes.changing import MadeChange, made_changes
+from annotator.project.classes.changing import MadeChange, made_changes, present_names, set_up_classes
 from annotator.project.classes.changing import change_classes as change_rows
-from annotator.project.classes.counts import ClassCounts, class_counts, require_fitting, value_counts
+from annotator.project.classes.counts import ClassCounts, class_counts, value_counts
 from annotator.project.classes.edit import ClassEdit, with_classes
 from annotator.project.config import (
     CONFIG_FILE,
@@ -28,9 +29,8 @@ from annotator.project.config import (
     ProjectSettings,
     mark_in_use,
     new_config,
-    prepare_config,
     read_config,
-    take_config,
+    whole_config,
     write_config,
 )
 from annotator.project.database.store import DATABASE_FILE, Clock, Store, create_store, open_store, wal_of
@@ -42,18 +42,19 @@ from annotator.project.models import Models
 from annotator.project.progress.report import ReviewReader
 from annotator.project.proposals import Proposals
 from annotator.project.recordings import Recordings
+from annotator.project.rows import Terms
 from annotator.project.statistics import Statistics, read_statistics
 from annotator.types.errors import RESTORE, ProjectError
+from annotator.types.messages import first_problem
 
 AUTHOR = "annotator"
 
 
 @dataclass(frozen=True)
 class ListedProject:
-    """One entry of a projects folder: its configuration, or why it cannot be opened."""
+    """One entry of a projects folder; `problem`: why it cannot be opened."""
 
     path: Path
-    config: ProjectConfig | None
     problem: str | None
 
 
@@ -64,7 +65,7 @@ class Project:
     """
 
     def __init__(self, path: Path, store: Store, readable: Sequence[Path] | None = None) -> None:
-        self.log = writer = Writer(store, path)
+        self.log = writer = Writer(store)
         self.path = path
         self.store = store
         self.views = Views(path / VIEWS_FOLDER)
@@ -82,8 +83,17 @@ class Project:
 
     @property
     def config(self) -> ProjectConfig:
-        """The configuration, read from the file at each access."""
-        return read_config(self.path)
+        """The settings, classes and attributes, read at each access: another process may have changed them."""
+        with self.store.read() as connection:
+            return self._config(connection)
+
+    def _config(self, connection: Connection) -> ProjectConfig:
+        try:
+            return whole_config(read_config(self.path), Terms(connection))
+        except ValidationError as error:
+            raise ProjectError(
+                f"{self.path}: its classes contradict each other: {first_problem(error)}; {RESTORE}"
+            ) from error
 
     @property
     def models_folder(self) -> Path:
@@ -94,51 +104,36 @@ class Project:
         self, *, classes: Sequence[str] | None = None, settings: ProjectSettings | None = None, author: str = AUTHOR
     ) -> ProjectConfig:
         """Changes the classes or the settings; None leaves them as they are."""
-
-        def edited(old: ProjectConfig) -> ClassEdit:
-            new = old if classes is None else with_classes(old, classes)
-            return ClassEdit(new.model_copy(update={"settings": settings or old.settings}))
-
-        return self.change_classes(edited, author)
+        with self.store.write():  # which prevents concurrent changes of the file
+            if settings is not None:
+                write_config(self.path, read_config(self.path).model_copy(update={"settings": settings}))
+        if classes is None:
+            return self.config
+        return self.change_classes(lambda old: ClassEdit("set the classes", with_classes(old, classes)), author)
 
     def change_classes(self, edit: Callable[[ProjectConfig], ClassEdit], author: str) -> ProjectConfig:
-        """Changes the classes and attributes, with the labels that follow; one event of the project.
+        """Changes the classes and attributes, with the boxes and values that follow; one action, which can be undone.
 
         Args:
             edit: one of `annotator.project.classes.edit`, applied to the present configuration.
         """
-        # the lock prevents concurrent changes of the file, and new boxes of a removed class
+        # the lock prevents new boxes of a removed class
         with self.store.write() as connection:
-            old = take_config(self.path, connection)
+            old = self._config(connection)
             made = edit(old)
-            new = made.config
-            if (number := self._change_classes(connection, old, made, author)) is not None:
-                prepare_config(self.path, new, number)
-            elif new != old:
-                write_config(self.path, new)
-        with self.store.read() as connection:
-            return take_config(self.path, connection)
+            if made.config != old or made.change != Relabelling():
+                change_rows(self.store, connection, made, author)
+            return made.config
 
-    def _change_classes(self, connection: Connection, old: ProjectConfig, made: ClassEdit, author: str) -> int | None:
-        new = made.config
-        is_same = all(getattr(new, name) == getattr(old, name) for name in ("classes", "class_styles", "attributes"))
-        if is_same and made.change == Relabelling():
-            return None
-        number = change_rows(self.log, connection, old, new, made.change, author)
-        gone = set(old.classes) - set(new.classes)
-        if used := sorted(gone & class_counts(connection, removed=True).keys()) if gone else []:
-            raise ProjectError(
-                f"project {old.name}: {', '.join(map(repr, used))} cannot be removed while boxes use it; give them "
-                "another class (--into on the command line), or remove them, too (--with-boxes); recordings that "
-                "were removed may have some"
-            )
-        require_fitting(connection, old.attributes, new.attributes)
-        return number
-
-    def class_changes(self, event_id: int = 0) -> list[MadeChange]:
+    def class_changes(self, event_id: int) -> list[MadeChange]:
         """The changes of the classes after an event, in order."""
         with self.store.read() as connection:
             return made_changes(connection, event_id)
+
+    def present_names(self, names: Sequence[str], time_ns: int) -> dict[str, str | None]:
+        """Names of classes at a time (UTC nanoseconds) -> their present names; None for a removed class."""
+        with self.store.read() as connection:
+            return present_names(connection, names, time_ns)
 
     def value_counts(self) -> dict[str, dict[str, int]]:
         """How often each stored value of an attribute occurs, by attribute."""
@@ -175,35 +170,6 @@ class Project:
         self.close()
 
 
-def change_classes(
-    project: Project, edit: Callable[[ProjectConfig], ClassEdit], author: str
-) -> tuple[ProjectConfig, Path | None]:
-    """Changes the classes as `Project.change_classes`.
-
-    Undo does not revert it. The opposite change does, except for what the backup is made for.
-
-    Returns:
-        the new configuration, and the backup that was made before, if any.
-    """
-    old = project.config
-    made = edit(old)
-    # boxes may also have names that are no classes of the project
-    names = {*old.classes, *project.class_counts()} if made.change.classes else set[str]()
-    backup = back_up_automatically(project.path, Reason.CLASSES).path if _loses(old, made, names) else None
-    return project.change_classes(edit, author), backup
-
-
-def _loses(old: ProjectConfig, made: ClassEdit, names: set[str]) -> bool:
-    """Whether boxes (of the classes `names`) or values are removed, or cannot be told apart afterwards."""
-    change = made.change
-    choices = {each.name: each.choices for each in old.attributes}
-    return (
-        bool(change.removed or change.dropped or change.fitted)
-        or any(new in names for new in change.classes.values())
-        or any(new in choices[name] for name, renamed in change.choices.items() for new in renamed.values())
-    )
-
-
 def create_project(
     root: Path,
     name: str,
@@ -215,7 +181,12 @@ def create_project(
     """Creates the project `root/name`; the folder appears complete or not at all."""
     config = new_config(name, tuple(classes), settings or ProjectSettings(), clock())
     with new_project(root, name) as place:
-        create_store(place / DATABASE_FILE, clock=clock).close()
+        store = create_store(place / DATABASE_FILE, clock=clock)
+        try:
+            with store.write() as connection:
+                set_up_classes(store, connection, config, AUTHOR)
+        finally:
+            store.close()
         write_config(place, config)
     return open_project(root / name, clock=clock)
 
@@ -236,8 +207,6 @@ def open_project(path: Path, *, clock: Clock = time.time_ns, readable: Sequence[
         if os.access(path, os.W_OK):  # a project on a read-only disk can be read without this
             for folder in (MODELS_FOLDER, VIEWS_FOLDER):
                 (path / folder).mkdir(exist_ok=True)
-            with store.read() as connection:
-                take_config(path, connection)
     except BaseException as error:
         project.close()
         if isinstance(error, OSError):
@@ -282,6 +251,7 @@ def _looks_like_project(path: Path) -> bool:
 
 def _listed(path: Path) -> ListedProject:
     try:
-        return ListedProject(path, read_config(path), None)
+        read_config(path)
+        return ListedProject(path, None)
     except ProjectError as error:
-        return ListedProject(path, None, str(error))
+        return ListedProject(path, str(error))

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import uuid
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from scipy.spatial.transform import RigidTransform
 from sqlalchemy import select
 
-from annotator.project.adjusting import moved_box
 from annotator.project.audit.making import make
 from annotator.project.audit.writing import Receipt, Write, WriteContext
-from annotator.project.changes import NewLabel, ProposalsReplaced, ProposedObject
-from annotator.project.config import read_config
+from annotator.project.changes import NewLabel, ProposalsReplaced
 from annotator.project.database.schema import frames, labels, passes
 from annotator.project.database.store import driver_of
 from annotator.project.jobs import read_run, record_result
 from annotator.project.labels import read_stored
 from annotator.project.log import Writer, require_writable
-from annotator.project.records import ProposalRecord, parsed, storable
+from annotator.project.records import parsed, storable
 from annotator.project.rows import Terms
 from annotator.project.sources import KIND, Brought, agreement, covered_by, merged, regroup, show, told
-from annotator.types import BoxKind, LostObject, OrientedBox, Proposal, ReviewState, Source
+from annotator.types import BoxKind, OrientedBox, Proposal, ReviewState, Source
 
 
 @dataclass(frozen=True)
@@ -49,7 +46,7 @@ class Replaced:
 
 @dataclass(frozen=True, eq=False)
 class Proposals:
-    """Stores the proposals of automatic passes, and reads them with their traces."""
+    """Stores the proposals of automatic passes, and reads them."""
 
     writer: Writer
 
@@ -59,16 +56,16 @@ class Proposals:
         proposals: Sequence[Proposal],
         context: WriteContext,
         *,
-        lost: Sequence[LostObject] = (),
         run: RunShare | None = None,
         track_ids: Sequence[int | None] | None = None,
         box_kind: BoxKind = BoxKind.BOX,
+        action: str | None = None,
     ) -> Replaced:
         """Replaces the unreviewed labels of a frame with new proposals.
 
         Accepted, edited and rejected labels stay, proposals of which a person has set values, and those that were made
         in frames of other cameras of the moment. A proposal is covered if its exact 3D IoU with one of them, of the
-        same class, is 0.5 or more: it gets no label, and the log stores it with the uid of the covering label.
+        same class, is 0.5 or more: it gets no label.
         Proposals of other software stay as well. If one of them is surer of the same object, it hides ours
         (`sources.merged`).
 
@@ -78,13 +75,14 @@ class Proposals:
             track_ids: of the proposals' objects over the recording, if the pass followed them from another frame; an
                 id that a reviewed label of this frame uses is ignored.
             box_kind: what the proposed boxes enclose: what the view detector measures.
+            action: id of the action (`new_action`) that undoes the pass; None = it cannot be undone.
         """
         with self.writer.store.write() as connection:
             # the cheap checks come before the IoU
             where = require_writable(connection, frame_id, context)
             if run is not None:
                 read_run(connection, run.run_id)
-            write = Write(self.writer.store, self.writer.folder, connection, frame_id, where, context)
+            write = Write(self.writer.store, connection, frame_id, where, context, action)
             before = {row["uid"]: row for row in write.open_proposals()}
             staying = [each.label for each in read_stored(connection, frame_id) if each.label.uid not in before]
             covering = covered_by(proposals, staying)
@@ -96,19 +94,21 @@ class Proposals:
                 ids.append(None if id in taken or cover is not None else id)
                 taken.add(ids[-1])
             with storable(f"{where}: a proposal"):
-                objects = tuple(
-                    ProposedObject(
-                        uid=uuid.uuid4().hex, proposal=ProposalRecord.of(each), covered_by=cover, track_id=id
+                new = [
+                    NewLabel(
+                        each.label,
+                        each.box,
+                        each.score,
+                        id,
+                        state=ReviewState.PROPOSED,
+                        box_kind=box_kind,
+                        proposal=each,
+                        uid=write.new_uid(),
                     )
                     for each, cover, id in zip(proposals, covering, ids, strict=True)
-                )
-                payload = ProposalsReplaced(
-                    run=run.run_id if run else None,
-                    objects=objects,
-                    lost=tuple(lost),
-                    box_kind=box_kind,
-                )
-                make(write, payload)
+                    if cover is None
+                ]
+                make(write, ProposalsReplaced(proposals, new, None if run is None else run.run_id))
                 if any(row["source"] == Source.IMPORTED.value for row in before.values()):
                     regroup(write, write.open_proposals())
                     write.event(KIND)
@@ -118,7 +118,8 @@ class Proposals:
                     connection, run.run_id, frame_id, run.seconds, time_ns=write.time_ns, proposals=len(proposals)
                 )
             shown = {row["uid"] for row in write.labels() if row["behind"] is None}
-        uids = tuple(entry.uid if entry.uid in shown else None for entry in objects)
+        made = iter(new)
+        uids = tuple(uid if cover is None and (uid := next(made).uid) in shown else None for cover in covering)
         return Replaced(uids, uids.count(None), receipt)
 
     def bring(
@@ -143,9 +144,9 @@ class Proposals:
         Returns:
             The results by frame id; finalised frames are left out, and stay as they are.
         """
-        store, folder, done, newest = self.writer.store, self.writer.folder, dict[int, Brought](), dict[int, int]()
+        store, done, newest = self.writer.store, dict[int, Brought](), dict[int, int]()
         with store.write() as connection:
-            config, terms = read_config(folder), Terms(connection)
+            terms = Terms(connection)
             places = ", ".join(map(str, map(int, boxes)))
             query = f"SELECT moment_id, id, revision FROM frames WHERE id IN ({places}) AND NOT finalised ORDER BY id"
             left = driver_of(connection).execute(query).fetchall()
@@ -158,7 +159,7 @@ class Proposals:
                     based_on = newest.get(moment_id, revision)
                     context = WriteContext(based_on, author or source, Source.IMPORTED, effort_target=source)
                     where = f"frame with id {frame_id}"
-                    write = Write(store, folder, connection, frame_id, where, context, action, config, terms)
+                    write = Write(store, connection, frame_id, where, context, action, terms)
                     with storable(f"a box of {source}"):
                         parts.append((moment_id, frame_id, write, *told(write, source, boxes[frame_id])))
                 groups = merged([[said for _, said in found] for *_, found, _ in parts])
@@ -170,7 +171,7 @@ class Proposals:
         return done
 
     def boxes(self, recording_id: int) -> dict[str, OrientedBox]:
-        """Label uid -> box as first proposed, of a recording's open proposals; their traces are not parsed."""
+        """Label uid -> box as first proposed, of a recording's open proposals."""
         is_open = (frames.c.recording_id == recording_id) & (labels.c.state == ReviewState.PROPOSED.value)
         query = select(labels.c.uid, labels.c.frame_id, labels.c.proposed_box)
         query = query.join(frames, frames.c.id == labels.c.frame_id).where(is_open, labels.c.proposed_box.is_not(None))
@@ -178,17 +179,16 @@ class Proposals:
             terms = Terms(connection)
             return {row.uid: terms.box(row.proposed_box, row.frame_id) for row in connection.execute(query)}
 
-    def latest(self, frame_id: int) -> ProposalsReplaced | None:
-        """The latest automatic pass over a frame, or None; its boxes have moved with the cloud, its traces have not."""
+    def latest(self, frame_id: int) -> tuple[tuple[str, OrientedBox, float], ...] | None:
+        """What the latest automatic pass over a frame has found: class, box and score; None without a pass."""
         query = select(passes.c.content).where(passes.c.frame_id == frame_id)
         with self.writer.store.read() as connection:
-            content, T = connection.execute(query).scalar(), Terms(connection).T_camera_cloud(frame_id)
-        if content is None:
-            return None
-        stored = parsed(ProposalsReplaced.model_validate_json, content)
-        return stored if T is None else stored.model_copy(update={"objects": [_moved(o, T) for o in stored.objects]})
+            content, terms = connection.execute(query).scalar(), Terms(connection)
+            if content is None:
+                return None
 
+            def read(text: str) -> tuple[tuple[str, OrientedBox, float], ...]:
+                found = json.loads(text)
+                return tuple((terms.names[number], terms.box(box, frame_id), score) for number, score, box in found)
 
-def _moved(item: ProposedObject, T: RigidTransform) -> ProposedObject:
-    proposal = item.proposal.model_copy(update={"box": moved_box(item.proposal.box, T)})
-    return item.model_copy(update={"proposal": proposal})
+            return parsed(read, content)

@@ -1,6 +1,6 @@
 """Lossless JSON records of the shared value types, for the columns of the tables.
 
-pydantic serialises dataclasses of plain numbers (`Box2D`, `StepTrace`, `LostObject` ...) directly. An `OrientedBox` is
+pydantic serialises dataclasses of plain numbers (`Box2D`, `Suggestion`) directly. An `OrientedBox` is
 stored as centre, rotation matrix and size, bit for bit.
 """
 
@@ -15,7 +15,7 @@ from jaxtyping import UInt8
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import PydanticSerializationError
 
-from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, PseudoView, Quality, StepTrace, Suggestion
+from annotator.types import Box2D, BoxKind, OrientedBox, PseudoView, Suggestion
 from annotator.types.bases import Strict
 from annotator.types.errors import RESTORE, ProjectError
 from annotator.types.label import Matrix3, Said
@@ -79,26 +79,6 @@ class BoxRecord(Exact):
         pose[:3, :3] = self.rotation
         pose[:3, 3] = self.center_m
         return OrientedBox(pose, np.array(self.size_m))
-
-
-class ProposalRecord(Exact):
-    """A `Proposal` with its whole trace."""
-
-    label: str
-    score: Finite
-    box: BoxRecord
-    image_box: Box2D
-    trace: tuple[StepTrace, ...]
-    quality: Quality
-
-    @classmethod
-    def of(cls, proposal: Proposal) -> ProposalRecord:
-        """The record of a proposal."""
-        return cls(**vars(proposal) | {"box": BoxRecord.of(proposal.box)})
-
-    def proposal(self) -> Proposal:
-        """The proposal, bit for bit."""
-        return Proposal(**dict(self) | {"box": self.box.box()})
 
 
 # The source of our own proposals beside those of other software.

@@ -6,13 +6,14 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from functools import lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 from scipy.spatial.transform import RigidTransform
 from sqlalchemy import Connection
 
 from annotator.project.adjusting import moved_box, moved_geometry, moving
+from annotator.project.classes.attributes import Attribute, ClassStyle
 from annotator.project.database.store import driver_of
 from annotator.project.records import BOX_2D, BOXES_2D, OWN, BoxRecord, SaidRecord, ViewGeometry, parsed
 from annotator.types import Box2D, OrientedBox
@@ -40,18 +41,21 @@ def T_camera_cloud(place: Place) -> RigidTransform | None:
 
 
 class Terms:
-    """The names of the classes, and where the clouds lie, as of one transaction.
+    """The classes and attributes, and where the clouds lie, as of one transaction.
 
     Attributes:
-        names: of the classes, by id; several may have the same.
-        ids: of the classes that rows have had, by name.
+        names: of all classes that the project has or had, by id; several may have the same.
+        ids: by name, first those of the project's classes.
+        classes: the names of the project's classes, in order.
         key: the names, for caches.
     """
 
     def __init__(self, connection: Connection) -> None:
         self._driver = driver_of(connection)
-        self.names: dict[int, str] = dict(self._driver.execute("SELECT id, name FROM classes ORDER BY id DESC"))
-        self.ids = {name: number for number, name in self.names.items()}
+        found = self._driver.execute("SELECT id, name, position FROM classes ORDER BY position, id DESC").fetchall()
+        self.names: dict[int, str] = {number: name for number, name, _ in found}
+        self.ids = {name: number for number, name, _ in found}
+        self.classes = tuple(name for _, name, position in found if position is not None)
         self.key: Names = tuple(self.names.items())
         stored = self._driver.execute("SELECT recording_id, correction FROM adjustments").fetchall()
         self._corrections = {id: correction for id, correction in stored if moving(correction) is not None}
@@ -62,13 +66,28 @@ class Terms:
 
     # --- classes ------------------------------------------------------------------------------------------------------
 
-    def add(self, name: str) -> int:
-        """Gives a class an id."""
-        number = max(self.names, default=0) + 1
-        self.names[number] = name
-        self.ids[name] = number
-        self.key = tuple(self.names.items())
-        return number
+    @cached_property
+    def styles(self) -> dict[str, ClassStyle]:
+        """The looks of classes that differ from those by default."""
+        query = "SELECT name, colour, shortcut FROM classes WHERE coalesce(colour, shortcut) IS NOT NULL"
+        return parsed(
+            lambda sql: {row[0]: ClassStyle(colour=row[1], key=row[2]) for row in self._driver.execute(sql)}, query
+        )
+
+    @cached_property
+    def attributes(self) -> tuple[Attribute, ...]:
+        """The project's attributes, in order."""
+        rows = self._driver.execute("SELECT name, content FROM attributes ORDER BY position, name").fetchall()
+        return tuple(parsed(partial(self._attribute, name), content) for name, content in rows)
+
+    def _attribute(self, name: str, content: str) -> Attribute:
+        fields = json.loads(content)
+        of = dict.fromkeys(self.names[int(number)] for number in fields.pop("classes", ()))
+        return Attribute(name=name, classes=tuple(of), **fields)
+
+    def attributes_of(self, label: str) -> list[Attribute]:
+        """The attributes of a class's boxes and tracks."""
+        return [each for each in self.attributes if each.is_of(label)]
 
     def next_label_id(self) -> int:
         """An id that no label has ever had."""

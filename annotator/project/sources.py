@@ -153,10 +153,10 @@ def agreement(write: Write, source: str, objects: Sequence[Sequence[SaidRecord]]
     """The number of a source's boxes that others see as well, and of its values that another one says otherwise."""
     together = sum(len(group) > 1 and any(each.source == source for each in group) for group in objects)
     differing = 0
-    for group in objects if write.config.attributes else ():
+    for group in objects if write.terms.attributes else ():
         its = [each.attributes for each in group if each.source == source]
         others = [each.attributes for each in group if each.source != source]
-        differing += conflicts(write.config.attributes_of(group[0].label), its, others)
+        differing += conflicts(write.terms.attributes_of(group[0].label), its, others)
     return together, differing
 
 
@@ -170,8 +170,8 @@ def regroup(write: Write, waiting: Sequence[Row]) -> None:
 def show(write: Write, groups: Sequence[Sequence[Told]]) -> list[list[SaidRecord]]:
     """Stores the objects of a frame, each with the box to show first; returns them, each source in its own words."""
     tracks = _tracks(write, groups)
-    attributes = write.config.attributes
-    of_track = of_tracks(write.connection, write.terms, attributes, write.frame_id, tracks) if attributes else {}
+    attributes = write.terms.attributes
+    of_track = of_tracks(write.connection, write.terms, write.frame_id, tracks) if attributes else {}
     for group, track_id in zip(groups, tracks, strict=True):
         (shown, words), *others = group
         columns: Row = {"behind": None, "track_id": track_id}
@@ -223,7 +223,7 @@ def _with_values(
 
     A proposal of ours has them already, unless other sources lend it some.
     """
-    of_label = write.config.attributes_of(said.label)
+    of_label = write.terms.attributes_of(said.label)
     borrowed = lent(of_label, said.attributes, lenders)
     if said.source == OWN and not borrowed and row["said"] is None:
         return {}

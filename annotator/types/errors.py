@@ -173,10 +173,11 @@ class HistoryError(ProjectError):
 
     Attributes:
         frame_id: the frame whose state prevents it; None if no single frame does.
+        can_skip: whether the step before can be undone (or redone) instead.
     """
 
-    def __init__(self, message: str, frame_id: int | None = None) -> None:
-        self.frame_id = frame_id
+    def __init__(self, message: str, frame_id: int | None = None, *, can_skip: bool = False) -> None:
+        self.frame_id, self.can_skip = frame_id, can_skip
         super().__init__(message)
 
 

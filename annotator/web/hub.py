@@ -167,7 +167,7 @@ class Announcer:
                 if (remover is None) != (told.removed_by.get(recording, "") is None):
                     self._send(project, "recordings", remover or operator, recording=recording)
             for made in classes:
-                self._send(project, "classes", made.author, renamed=dict(made.change.classes))
+                self._send(project, "classes", made.author, renamed=dict(made.renamed))
             told.event, told.removed_by = newest, removed_by
 
     def _send(self, project: Project, kind: str, operator: str, **fields: object) -> None:

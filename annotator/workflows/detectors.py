@@ -14,7 +14,6 @@ from annotator.detection.pretrained import NAME, TITLE, base_weights, has_base
 from annotator.detection.trained import read_trained
 from annotator.detection.yolo import YoloDetector
 from annotator.project import Statistics
-from annotator.project.classes.attributes import renamed_over
 from annotator.project.jobs import Run
 from annotator.project.models import StoredModel
 from annotator.project.project import Project
@@ -162,8 +161,7 @@ def own_model(project: Project, model: StoredModel) -> UsedModel:
     class_agnostic = model.labels == AGNOSTIC and model.labels != project.config.classes
     names: Names = ()
     if not class_agnostic:
-        changes = [made.change for made in project.class_changes() if made.time_ns > model.created_ns]
-        now = renamed_over(changes, model.labels)
+        now = project.present_names(model.labels, model.created_ns)
         names = tuple((before, after) for before, after in now.items() if before != after)
     return UsedModel(
         model.path, model.box_kind, class_agnostic, model.fingerprint, manifest=model.manifest, names=names

@@ -333,9 +333,7 @@ class _Source:
             self._labels_seen += len(labels)
             self._unchanged += sum(label.source is Source.IMPORTED and label.author == AUTHOR for label in labels)
             return list(map(_scored_box, labels))
-        latest = self._project.proposals.latest(stored.id)
-        proposals = [entry.proposal for entry in latest.objects] if latest is not None else []
-        return [(proposal.label, proposal.box.box(), proposal.score) for proposal in proposals]
+        return list(self._project.proposals.latest(stored.id) or ())
 
     def _true(self, stored: StoredFrame) -> list[ScoredBox]:
         if self._options.against is Against.REVIEWED:

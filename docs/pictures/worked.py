@@ -22,12 +22,11 @@ from annotator.project.changes import (
     NewLabel,
     Payload,
     ProposalsReplaced,
-    ProposedObject,
 )
 from annotator.project.jobs import record_result
 from annotator.project.log import Writer
-from annotator.project.records import BoxRecord, ProposalRecord
-from annotator.types import Box2D, OrientedBox, Proposal, Quality, Source
+from annotator.project.records import BoxRecord
+from annotator.types import Box2D, OrientedBox, Proposal, Quality, ReviewState, Source
 
 # class -> its share, and the size of its boxes in metres
 CLASSES = {"car": (0.6, (4.2, 1.6, 1.8)), "pedestrian": (0.3, (0.7, 1.7, 0.6)), "cyclist": (0.1, (1.8, 1.7, 0.7))}
@@ -76,7 +75,7 @@ def worked_project(root: Path, name: str, work: Work) -> Project:
     project.recordings.add(root / "drive", "rgbd", "drive", keys, True)
     ids = [frame.id for frame in project.frames.of()]
     run = project.jobs.start(image_detector="a", view_detector="b", config_json="{}").id
-    writer = Writer(project.store, project.path)
+    writer = Writer(project.store)
     with project.store.write() as connection:
         scenes = [_proposed(connection, writer, id, run, n / work.frames, work, random) for n, id in enumerate(ids)]
         people = tuple(work.people)
@@ -120,7 +119,7 @@ def _proposed(
     random: np.random.Generator,
 ) -> list[_Object]:
     """Proposes the boxes of a frame; returns its objects."""
-    objects, proposed = [], []
+    objects, proposed = [], list[NewLabel]()
     shares = [share for share, _ in CLASSES.values()]
     for _ in range(random.poisson(work.objects)):
         label = str(random.choice(list(CLASSES), p=shares))
@@ -134,11 +133,11 @@ def _proposed(
             box = truth if is_good else _moved(truth, random, error)
             image_box = Box2D(label, 1.0, 2.0, 30.0, 40.0, 0.8)
             proposal = Proposal(label, 0.8, box, image_box, (), Quality(0.1, 0.9, 0.01, 0.8))
-            proposed.append(ProposedObject(uid=uid, proposal=ProposalRecord.of(proposal)))
+            proposed.append(NewLabel(label, box, state=ReviewState.PROPOSED, proposal=proposal, uid=uid))
         objects.append(_Object(label, truth, uid, chance > 0.92, is_good))
     count = len(proposed)
     record_result(connection, run, frame_id, 0.1, time_ns=writer.store.clock(), proposals=count)
-    replaced = ProposalsReplaced(run=run, objects=tuple(proposed))
+    replaced = ProposalsReplaced([each.proposal for each in proposed if each.proposal], proposed, run)
     writer.to_frame_in(connection, frame_id, [replaced], WriteContext(0, "rcv", Source.AUTO))
     return objects
 

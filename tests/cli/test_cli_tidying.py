@@ -174,7 +174,7 @@ def test_back_up_verify_and_restore(root: Path, capsys: pytest.CaptureFixture[st
     assert main(["project", "restore", file.name]) == 2
     assert "exists already; choose another name" in capsys.readouterr().err
     assert main(["project", "restore", "bare.zip", "again"]) == 0
-    assert "0 labels, 1 event, as of " in capsys.readouterr().out
+    assert "0 labels, 2 events, as of " in capsys.readouterr().out
     assert main(["project", "verify", "again", "--deep"]) == 0
     assert capsys.readouterr().out == "again: sound\n"
     assert main(["project", "copy", str(root / "again"), "taken"]) == 0

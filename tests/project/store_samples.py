@@ -19,13 +19,13 @@ from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.database import migrations
 from annotator.project.database.migrations import MIGRATIONS, Migration, newest_version
+from annotator.project.database.schema import AUDITED
 from annotator.project.log import new_action
 from annotator.types import (
     Box2D,
     BoxKind,
     BoxTrace,
     Correction,
-    LostObject,
     OrientedBox,
     Proposal,
     Quality,
@@ -37,7 +37,7 @@ from annotator.types import (
 )
 
 NOT_AXIS_ALIGNED = Rotation.from_euler("xyz", [0.3, -0.7, 1.1]).as_matrix()
-TABLES = ("labels", "image_labels", "view_labels", "frames", "adjustments", "classes")
+TABLES = tuple(AUDITED)
 ATTRIBUTES = (
     Attribute(name="severity", kind=AttributeKind.INTEGER, minimum=0.0, maximum=3.0, default=0),
     Attribute(name="pose", kind=AttributeKind.CHOICE, choices=("sitting", "lying"), classes=("person",)),
@@ -80,11 +80,6 @@ def proposal_at(
     trace = tuple(step_trace(views) for _ in range(steps))
     image_box = Box2D(label, 1.0, 2.0, 30.5, 40.25, 0.8)
     return Proposal(label, score, box_at(x_m, size_m), image_box, trace, Quality(0.125, 0.9, 0.01))
-
-
-def lost_object() -> LostObject:
-    step = StepTrace("camera", (), (), None, 20, 0, StopReason.LOST)
-    return LostObject("hand", Box2D("hand", 0.0, 0.0, 5.0, 5.0, 0.4), (step,))
 
 
 def same_box(a: OrientedBox, b: OrientedBox) -> bool:
@@ -160,7 +155,6 @@ def actions(
             frame.id,
             [proposal_at(2.0 * n + 0.1 * b, ("hand", "person")[n % 2]) for n in range(a)],
             by_machine(frame.revision - behind),
-            lost=[lost_object()] * b,
         ),
         "bring": lambda: project.proposals.bring(
             f"detector {b}",

@@ -68,7 +68,7 @@ def test_boxes_of_finalised_frames_and_open_proposals_move_and_other_recordings_
     assert latest is not None
     proposed = project.proposals.boxes(recording.id).values()
     expected = box_at().transformed(TURNED.T_camera_recorded)
-    for moved in (box_of(project, labelled), box_of(project, open_), *proposed, latest.objects[0].proposal.box.box()):
+    for moved in (box_of(project, labelled), box_of(project, open_), *proposed, latest[0][1]):
         assert same_box(moved, expected)
     assert same_box(box_of(project, foreign), box_at())
     assert project.frames.get(foreign).revision == 1

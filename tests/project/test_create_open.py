@@ -23,7 +23,6 @@ from annotator.project import (
     NewLabel,
     Project,
     ProjectSettings,
-    config,
     create_project,
     list_projects,
     open_project,
@@ -44,9 +43,8 @@ def test_a_new_project_has_its_files(tmp_path: Path) -> None:
     assert {path.name for path in folder.iterdir()} == {"project.json", "project.db", "models", "views"}
     assert json.loads((folder / "project.json").read_text()) == {
         "name": "hands",
-        "format_version": 1,
+        "format_version": 2,
         "created_ns": 123,
-        "classes": ["hand"],
         "settings": {
             "rotation": "upright",
             "rcv": {},
@@ -123,8 +121,10 @@ def _truncate(folder: Path) -> None:
     [
         (lambda folder: (folder / "project.json").unlink(), "is not a project: it has no project.json"),
         (_overwrite("project.json", b"{"), "project.json: .*restore it"),
-        (_overwrite("project.json", b'{"format_version": 2}'), "format version 2.*update annotator"),
-        (_overwrite("project.json", b'{"format_version": 1, "name": "x"}'), "Field required"),
+        (_overwrite("project.json", b'{"format_version": 3}'), "format version 3.*update annotator"),
+        (_overwrite("project.json", b'{"format_version": 1}'), "from before the first release"),
+        (_overwrite("project.json", b'{"format_version": 2, "name": "x"}'), "Field required"),
+        (damage("UPDATE classes SET position = NULL"), "needs at least one class; restore it"),
         (lambda folder: (folder / "project.db").unlink(), "project.db: is missing"),
         (_overwrite("project.db", b"x" * 5000), "project.db: is not a project database"),
         (_overwrite("project.db", b""), "not a project database"),
@@ -146,8 +146,8 @@ def test_opening_a_damaged_project_raises_a_clear_error(
 ) -> None:
     create_project(tmp_path, "hands", ["hand"]).close()
     harm(tmp_path / "hands")
-    with pytest.raises(ProjectError, match=message):
-        open_project(tmp_path / "hands")
+    with pytest.raises(ProjectError, match=message), open_project(tmp_path / "hands") as project:
+        project.config  # noqa: B018
 
 
 @pytest.mark.parametrize("name", ["project.json", "project.db", "project.db-journal"])
@@ -199,8 +199,7 @@ def test_projects_are_listed_with_their_problems(tmp_path: Path) -> None:
     (tmp_path / ".a.0123.unfinished").mkdir()
     listed = list_projects(tmp_path)
     assert [entry.path.name for entry in listed] == ["a", "b", "c"]
-    assert [entry.config and entry.config.classes for entry in listed] == [("a",), ("b",), None]
-    assert listed[0].problem is None
+    assert [entry.problem is None for entry in listed] == [True, True, False]
     assert "project.json" in (listed[2].problem or "")
     assert list_projects(tmp_path / "none") == ()
 
@@ -248,49 +247,11 @@ def to_lorry(project: Project) -> None:
     project.change_classes(lambda config: edit.rename_class(config, "car", "lorry"), "ann")
 
 
-def test_a_kill_after_the_transaction_has_ended_leaves_the_new_classes(cars: Path, monkeypatch) -> None:
-    taken = config.take_config
-
-    def killed(folder: Path, connection: object) -> object:
-        if any(folder.glob("project.json.change-*")):
-            raise KeyboardInterrupt
-        return taken(folder, connection)
-
-    with monkeypatch.context() as patched, open_project(cars) as project, pytest.raises(KeyboardInterrupt):
-        patched.setattr("annotator.project.project.take_config", killed)
-        to_lorry(project)
-    assert read_config(cars).classes == ("car",)
-    with open_project(cars) as project:
-        assert project.config.classes == ("lorry",)
-    assert not list(cars.glob("project.json.*"))
-
-
-def test_a_kill_before_the_transaction_has_ended_leaves_the_old_classes(cars: Path, monkeypatch) -> None:
-    def killed(folder: Path, config: object, connection: object) -> Path:
-        path = prepare(folder, config, connection)
-        kept.append((path, path.read_bytes()))
-        raise KeyboardInterrupt
-
-    prepare, kept = config.prepare_config, list[tuple[Path, bytes]]()
-    with monkeypatch.context() as patched, open_project(cars) as project, pytest.raises(KeyboardInterrupt):
-        patched.setattr("annotator.project.project.prepare_config", killed)
-        to_lorry(project)
-    ((path, content),) = kept
-    path.write_bytes(content)
-    with open_project(cars) as project:
-        assert project.config.classes == ("car",) and not path.exists()
-        # another event with the number of the one that was lost
-        project.change_classes(lambda config: edit.add_class(config, "van"), "ann")
-        path.write_bytes(content)
-    with open_project(cars) as project:
-        assert project.config.classes == ("car", "van") and not path.exists()
-
-
 def test_a_rename_keeps_what_was_changed_just_before(cars: Path, monkeypatch) -> None:
     class Late:
         def __init__(self, folder: Path) -> None:
             with open_project(folder) as project:
-                to_lorry(project)
+                project.configure(settings=ProjectSettings(learn_every=7))
 
         def __enter__(self) -> None: ...
 
@@ -299,7 +260,7 @@ def test_a_rename_keeps_what_was_changed_just_before(cars: Path, monkeypatch) ->
     monkeypatch.setattr("annotator.project.config.not_in_use", Late)
     rename_project(cars, "lorries")
     config = read_config(cars.parent / "lorries")
-    assert (config.name, config.classes) == ("lorries", ("lorry",))
+    assert (config.name, config.settings.learn_every) == ("lorries", 7)
 
 
 def test_a_model_knows_renames_since_its_labels_were_read(cars: Path) -> None:

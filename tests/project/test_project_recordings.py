@@ -214,7 +214,7 @@ def test_changes_that_labels_of_a_removed_recording_do_not_fit_are_refused(
     assert project.labels.get(label.uid).label.attributes == {}
     for change in (
         lambda config: edit.put_attribute(config, size.model_copy(update={"maximum": 0.0, "default": None})),
-        lambda config: ClassEdit(edit.with_classes(config, ["person"])),
+        lambda config: ClassEdit("", edit.with_classes(config, ["person"])),
     ):
         with pytest.raises(ProjectError, match=r"would not fit|cannot be removed"):
             project.change_classes(change, "ann")

@@ -142,7 +142,7 @@ def test_labels_boxes_and_events_are_counted(project: Project, recording: Stored
         "without_value": {},
         "image_boxes": {"pictures": 2, "boxes": 2, "boxes_by_source": {"manual": 2, "auto": 0, "imported": 0}},
         "view_boxes": {"pictures": 1, "boxes": 3, "boxes_by_source": {"manual": 0, "auto": 0, "imported": 3}},
-        "events": 7,
+        "events": 8,
         "runs": 1,
         "models": 0,
         "effort": {**NO_EFFORT, "by_origin": dict.fromkeys(ORIGINS, NO_EFFORT)},

@@ -6,9 +6,9 @@ One moment of the project has two cameras.
 from __future__ import annotations
 
 import json
-import re
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +32,7 @@ from store_samples import (
     state_of,
 )
 
-from annotator.project import NewLabel, Project, WriteContext, create_project, open_project
+from annotator.project import NewLabel, Project, RunShare, WriteContext, create_project, new_action, open_project
 from annotator.project.audit.events import as_one
 from annotator.project.changes import LinkedLabel, TracksLinked
 from annotator.project.database.schema import AUDITED, columns_of
@@ -43,7 +43,7 @@ from annotator.types.errors import ConfigError, HistoryError, ProjectError
 
 BASED = (*(step for step in STEPS if step not in ("bring", "import", "span")), "values", "frame values")
 """Changes that are based on a revision of a frame."""
-KINDS = (*STEPS, "loose view", "link", "adjust", "values", "frame values", "classes")
+KINDS = (*STEPS, "loose view", "link", "adjust", "values", "frame values", "classes", "pass")
 CAMERAS = {1: ["0", "1"], 2: ["0"]}
 """The keys of each recording's frames."""
 SMALL = st.integers(0, 3)
@@ -66,22 +66,16 @@ def linked(labels: Sequence[Label], track_id: int) -> TracksLinked:
 def audited(project: Project) -> dict[str, list[tuple[object, ...]]]:
     """All rows of the audited tables, without what is not audited, such as the revisions.
 
-    Classes get their ids once, which no undo takes back. Those in JSON are named: after a merge, two ids are one class.
+    Classes get their ids once, which no undo takes back: their names and looks are compared where they are classes.
     """
     rows = {}
     with project.store.read() as connection:
-        names = {str(id): name for id, name in connection.execute(text("SELECT id, name FROM classes"))}
-        for table in AUDITED.keys() - {"classes"}:
+        for table, key in AUDITED.items():
             columns = ", ".join(f'"{column}"' for column in columns_of(table))
-            found = connection.execute(text(f'SELECT {columns} FROM {table} ORDER BY "{AUDITED[table]}"')).all()
-            rows[table] = [tuple(_named(value, names) for value in row) for row in found]
+            shown = " WHERE position IS NOT NULL" if table == "classes" else ""
+            found = connection.execute(text(f'SELECT {columns} FROM {table}{shown} ORDER BY "{key}"'))
+            rows[table] = list(map(tuple, found))
     return rows
-
-
-def _named(value: object, names: dict[str, str]) -> object:
-    if not isinstance(value, str):
-        return value
-    return re.sub(r'"label":"(\d+)"', lambda found: f'"label":"{names[found[1]]}"', value)
 
 
 class TwoOperators(RuleBasedStateMachine):
@@ -126,7 +120,7 @@ class TwoOperators(RuleBasedStateMachine):
             events, after = list(project.log.since(last)), audited(project)
             if as_one(row for event in events for row in event.rows if event.action is not None):
                 states.append(after)
-            elif after != states[-1]:  # a pass, an import by a program or a change of the classes
+            elif after != states[-1]:  # a pass or an import that cannot be undone
                 states = [after]
         for state in reversed(states[:-1]):
             project.history.undo(who)
@@ -146,8 +140,20 @@ class TwoOperators(RuleBasedStateMachine):
             "link": lambda: project.log.append(
                 frame.id, [linked(project.labels.of_frame(frame.id), a)], by_machine(frame.revision)
             ),
+            "pass": lambda: self._pass(who, a, b),
         }
         (actions(project, self.views, step, who) | more)[what]()
+
+    def _pass(self, who: str, a: int, b: int) -> None:
+        """A batch over all frames; a finalised one is left alone."""
+        project, action = self.project, new_action()
+        run = project.jobs.start(image_detector="image", view_detector=f"view {b}", config_json="{}")
+        for frame in project.frames.of():
+            if not frame.finalised:
+                context = replace(by_machine(project.frames.get(frame.id).revision), author=who, maker="rcv")
+                found, share = [proposal_at(2.0 * n + 0.1 * b) for n in range(a)], RunShare(run.id, 1.0)
+                project.proposals.replace(frame.id, found, context, run=share, action=action)
+            assert frame not in project.jobs.pending(run.key)
 
     @rule(who=PEOPLE, place=PLACE)
     def change_the_same(self, who: str, place: int) -> None:

@@ -58,7 +58,7 @@ def test_a_project_with_a_link_that_leads_out_is_refused(
         open_project(sent)
     assert sorted(tmp_path.rglob("*")) == before
     if place == "project.json" and is_there:
-        assert [project.config for project in list_projects(sent.parent)] == [None]
+        assert [project.problem is None for project in list_projects(sent.parent)] == [False]
 
 
 @pytest.mark.parametrize("target", ["../../outside", "view/../../../outside", "loop"])

@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from store_samples import by_hand, lost_object, proposal_at
+from store_samples import by_hand, proposal_at
 
 from annotator.project import Project, open_project
 from annotator.types import BoxKind
@@ -25,7 +25,7 @@ def _loop(project: Project, frame: int) -> None:
     revision = project.frames.get(frame).revision
     while True:
         proposals = [proposal_at(float(n), steps=2, views=4) for n in range(3)]
-        receipt = project.proposals.replace(frame, proposals, by_hand(revision), lost=[lost_object()]).receipt
+        receipt = project.proposals.replace(frame, proposals, by_hand(revision)).receipt
         _say(f"{receipt.event_ids[0]} {receipt.revision}")
         uid = project.labels.of_frame(frame)[-1].uid
         receipt = project.labels.delete(frame, uid, by_hand(receipt.revision))

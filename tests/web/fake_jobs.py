@@ -8,8 +8,6 @@ import time
 
 from annotator.types.errors import DetectionError
 from annotator.web.jobs.records import (
-    LIFT_STAGE,
-    BoxesRequest,
     CurvePoint,
     ImportRequest,
     JobContext,
@@ -49,15 +47,6 @@ def work(job: JobContext, request: ProposeRequest | ImportRequest) -> Outcome:
     group = AUTOGROUP.read_text().split() if os.access(AUTOGROUP, os.W_OK) else []
     priority = {"nice": os.nice(0), "group": int(group[-1]) if group else None, "omp": os.environ["OMP_WAIT_POLICY"]}
     return Outcome("counted to 2", priority)
-
-
-def boxes(job: JobContext, request: BoxesRequest) -> Outcome:
-    """Is at each stage of an import until a file `go_on` appears in the project's folder, or until it is stopped."""
-    for stage in ("store the 2D boxes", LIFT_STAGE):
-        while stage == LIFT_STAGE or not (job.project.path / "go_on").exists():
-            job.progress(stage)
-            time.sleep(0.01)
-    return Outcome("imported", {})
 
 
 def train(job: JobContext, request: TrainRequest) -> Outcome:

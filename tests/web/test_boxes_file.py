@@ -14,7 +14,6 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from live_server import PATIENCE_S, ended, look
 from room_api import ROOM, coco
 
 from annotator.project import Project, WriteContext, create_project
@@ -23,7 +22,7 @@ from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import FormatError, NotFoundError
 from annotator.web import security, uploads
 from annotator.web.jobs import work
-from annotator.web.jobs.records import LIFT_STAGE, WORK, BoxesRequest, JobContext, LiftRequest
+from annotator.web.jobs.records import BoxesRequest, JobContext, LiftRequest
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.importing import Preview, preview_boxes
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
@@ -138,35 +137,6 @@ def test_3d_boxes_are_described_and_become_proposals_or_labels_as_one_step(live:
     assert {(each.label.author, each.label.attributes["age"]) for each in project.labels.select()} == {("Ada", 7)}
     project.history.undo("Ada")
     assert project.labels.select() == ()
-
-
-@pytest.mark.usefixtures("in_threads")
-def test_nothing_is_undone_while_an_import_stores_its_boxes(
-    live: Live, generated: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What an import stores after the undo of its action could not be undone."""
-    monkeypatch.setitem(WORK, "boxes", "fake_jobs:boxes")
-    project = live.context.project("room")
-    sent = send(live, "boxes.json", json.dumps(coco(generated, "person")).encode())
-    job = live.client.post(f"{ROOM}/jobs", json={"kind": "boxes", "upload": sent["id"]}).json()
-    wait_for(live, job, "store the 2D boxes")
-    for step in ("undo", "redo"):
-        refused = live.client.post(f"{ROOM}/{step}", json={})
-        assert refused.status_code == 409
-        assert "your import of boxes is still running" in refused.json()["error"]["message"]
-    assert not live.context.jobs.stores_boxes("room", "Bob"), "other operators can undo what is theirs"
-    (project.path / "go_on").touch()
-    wait_for(live, job, LIFT_STAGE)
-    assert "still running" not in live.client.post(f"{ROOM}/undo", json={}).json()["error"]["message"]
-    live.client.post(f"/api/jobs/{job['id']}/cancel")
-    ended(live, job)
-
-
-def wait_for(live: Live, job: dict[str, Any], stage: str) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while (now := look(live, job["id"]))["stage"] != stage:
-        assert time.monotonic() < end and now["state"] in ("queued", "running"), now
-        time.sleep(0.05)
 
 
 def test_3d_boxes_are_proposed_from_2d_boxes_of_the_project(

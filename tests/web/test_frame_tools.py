@@ -14,7 +14,7 @@ from room_api import BOX, ROOM, change, propose, state
 from scipy.spatial import cKDTree
 
 from annotator.project import NewLabel, Project, WriteContext
-from annotator.project.backup.make import Reason, automatic_backups
+from annotator.project.classes.edit import rename_class
 from annotator.recordings import open_recording
 from annotator.types import Correction
 from annotator.web.follow_runs import FollowRuns
@@ -146,10 +146,8 @@ def test_classes_and_attributes_are_changed_and_labels_follow(live: Live, projec
     assert "cannot be removed while boxes use it" in edit(live, 400, do="remove", name="human")
     assert "needs at least one" in edit(live, 400, do="attribute", attribute={"name": "x", "kind": "choice"})
     assert "has no class" in edit(live, 404, do="merge", names=["dog"], into="cat")
-    assert automatic_backups(project.path) == []
     info = edit(live, do="merge", names=["human"], into="dog")
     assert "human" not in info["classes"]
-    assert len(automatic_backups(project.path, Reason.CLASSES)) == 1
     label = state(live.client, 1)["labels"][0]
     assert (label["uid"], label["label"]) == (uid, "dog")
     edit(live, do="rename_attribute", name="pose", new="posture")
@@ -157,6 +155,15 @@ def test_classes_and_attributes_are_changed_and_labels_follow(live: Live, projec
     edit(live, do="add", name="cat")
     edit(live, do="remove", name="dog", with_boxes=True)
     assert state(live.client, 1)["labels"] == []
+    undone = live.client.post(f"{ROOM}/undo", json={}).json()
+    assert undone == {"frame": None, "state": None, "done": "remove the class dog"}
+    assert state(live.client, 1)["labels"][0]["label"] == "dog"
+    # the page asks whether to skip a change of the classes that others need, as it does for boxes
+    project.change_classes(lambda config: rename_class(config, "cat", "tiger"), "Bob")
+    refused = live.client.post(f"{ROOM}/undo", json={})
+    assert (refused.status_code, refused.json()["frame"], refused.json()["state"]) == (409, None, None)
+    assert "was changed by Bob since" in refused.json()["error"]["message"]
+    assert live.client.post(f"{ROOM}/undo", json={"skip": True}).status_code == 200
 
 
 def test_the_list_counts_boxes_and_values(live: Live) -> None:
@@ -167,7 +174,7 @@ def test_the_list_counts_boxes_and_values(live: Live) -> None:
     listed = live.client.get(f"{ROOM}/classes").json()
     (row,) = listed["classes"]
     assert row == {"name": "person", "labels": 1, "boxes_2d": 0, "said": 0, "colour": None, "key": None}
-    assert (listed["attributes"], listed["values"], listed["unknown"]) == ([POSE, RAIN], {"pose": 1}, [])
+    assert (listed["attributes"], listed["values"]) == ([POSE, RAIN], {"pose": 1})
 
 
 def test_values_are_set_along_tracks_filtered_and_undone(live: Live, project: Project) -> None:

@@ -270,9 +270,6 @@ def test_an_object_proposed_from_two_cameras_is_one_label(around: Project):
         assert batch.summary.failures == 0
         (found,) = around.labels.of_moment(frames["around-090"].id)
         assert found.made_in == frames["around-000"].id
-    # the log has the covered proposal, and what covers it
-    latest = around.proposals.latest(frames["around-090"].id)
-    assert latest is not None and latest.objects[0].covered_by == found.label.uid
     # another object is one of its own
     propose("around-090", 3.5, 0.9)
     assert len(around.labels.of_frame(frames["around-090"].id)) == 2

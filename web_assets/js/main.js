@@ -132,7 +132,8 @@ async function travel(/** @type {"undo" | "redo"} */ direction, /** @type {boole
     /** @type {Api.StepOut} */
     const { frame, state, done } = await app.api.change(app.path(direction), { skip });
     toast(`${direction === "undo" ? "Undone" : "Redone"}: ${done}`);
-    if (app.state.frame?.frame.id === frame) app.frames.take(state);
+    if (frame === null || state === null) await refreshProject();
+    else if (app.state.frame?.frame.id === frame) app.frames.take(state);
     else if (mode === "label" || mode === "review") app.go(makeHash(project, mode, frame));
   } catch (error) {
     if (!(error instanceof ApiError) || error.status !== 409) toast(error);

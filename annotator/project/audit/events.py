@@ -107,9 +107,9 @@ class Event:
         time_ns: UTC nanoseconds since the epoch.
         source: manual, automatic or imported.
         rows: the changed rows.
-        action: id shared by all events of one operator action; None for automatic passes and imports.
+        action: id shared by all events of one action; None for what cannot be undone.
         undoes: the action that this one reverts, or None.
-        effort_target: uid of the label, or id of the draft, that the effort was for, if given.
+        effort_target: as in `WriteContext`, if given.
         effort: of the action, on its first event, if counted.
     """
 
@@ -311,7 +311,7 @@ def rebuild(connection: Connection) -> int:
     for table in reversed(AUDITED):
         if table != "frames":
             connection.exec_driver_sql(f"DELETE FROM {table}")
-    connection.exec_driver_sql("UPDATE frames SET finalised = 0, attributes = NULL")
+    connection.exec_driver_sql("UPDATE frames SET finalised = 0, attributes = NULL, run_id = NULL")
     count = 0
     try:
         with without_track_index(connection):

@@ -1,25 +1,22 @@
-"""Undo and redo of each operator's own actions, over all frames.
+"""Undo and redo of each author's own actions, over all frames.
 
 An undo puts back the columns that an action has changed, where they are still as it left them, and is an action itself.
-So a redo is the undo of an undo. The order of an operator's actions determines both stacks: a new action empties the
-redo stack. Automatic passes, and imports by programs, are not actions and cannot be undone.
+So a redo is the undo of an undo. The order of an author's actions determines both stacks: a new action empties the redo
+stack. A batch pass is one action of who has started it; a change of the classes is one with the rows that follow it.
 
-An action may change several recordings. While one of them is removed from the project, undo and redo revert the part in
-the others. The part in the removed one keeps its place in its stack, and is offered when the recording is back. So the
-parts of such an action are undone, and redone, one after the other from then on.
+An action in recordings that are all removed from the project keeps its place in its stack, and is offered when one of
+them is back. Another one is reverted as a whole, with the hidden boxes of removed recordings.
 """
 
 from __future__ import annotations
 
 import threading
-from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from typing import Any
 
-from sqlalchemy import Connection, Select, bindparam, func, select
+from sqlalchemy import Connection, bindparam, func, select, true
 
 from annotator.project.adjusting import Adjustment, adjustment_row
 from annotator.project.adjustments import KIND as ADJUSTED
@@ -28,30 +25,31 @@ from annotator.project.audit.events import (
     CLASSES,
     Effort,
     Event,
-    Key,
     RowChange,
     as_one,
     event_of,
     hide_removed,
     in_moment_of,
+    read_events,
     read_row,
     rows_of,
     without_rows,
 )
 from annotator.project.audit.writing import Receipt, Write, WriteContext
-from annotator.project.classes.attributes import Attribute, AttributeOf, Relabelling, fitting
-from annotator.project.classes.changing import made_changes, values_after
-from annotator.project.config import ProjectConfig, read_config
+from annotator.project.classes.attributes import Attribute, AttributeOf, fitting
+from annotator.project.classes.changing import BATCH, FOLLOWED, require_consistent, write_classes
+from annotator.project.classes.changing import KIND as CLASSES_CHANGED
 from annotator.project.database.schema import events, frames, recordings
 from annotator.project.log import Writer, new_action, require_writable
 from annotator.project.recordings import removed_recordings
-from annotator.project.rows import Row, Terms, said_with, values_json, values_of
+from annotator.project.rows import Row, Terms, box_2d_of, said_with, values_json, values_of
 from annotator.project.sources import KIND as IMPORTED
 from annotator.types import Source
-from annotator.types.errors import HistoryError, TrackTakenError
+from annotator.types.errors import FinalisedFrameError, HistoryError, ProjectError, TrackTakenError
 from annotator.types.label import AttributeValue
 
 KIND = "restored"
+SCHEMA = ("classes", "attributes")
 
 # Event kind -> verb for the page; the first kind that occurs in an action names the action.
 VERBS = (
@@ -68,33 +66,37 @@ VERBS = (
     ("frame_reopened", "reopen"),
     ("view_boxes_set", "draw on a view"),
     ("image_boxes_set", "draw on the image"),
+    ("proposals_replaced", "propose"),
+    ("tracks_linked", "link"),
 )
+CLASSES_RECORDING = 0
+"""Stands for the recording of what a change of the classes has changed in all of them; never removed."""
 
 
 # Built once: a save runs both, and building them takes longer than running them.
-_ACTIONS = (
-    select(events.c.id, events.c.action, events.c.undoes, frames.c.recording_id)
-    .join(frames, frames.c.id == events.c.frame_id)
-    .where(events.c.author == bindparam("author"), events.c.action.is_not(None), events.c.id > bindparam("last"))
+_OF_ACTION, _ACTIONS = (
+    select(*columns, func.coalesce(frames.c.recording_id, CLASSES_RECORDING).label("recording_id"))
+    .outerjoin_from(events, frames, frames.c.id == events.c.frame_id)
+    .where(*of)
     .order_by(events.c.id)
+    for columns, of in (
+        ((events.c.id, events.c.frame_id), [events.c.action == bindparam("action")]),
+        (
+            (events.c.id, events.c.action, events.c.undoes),
+            [events.c.author == bindparam("author"), events.c.action.is_not(None), events.c.id > bindparam("last")],
+        ),
+    )
 )
+_AUTHORS = select(events.c.author).where(events.c.action.is_not(None)).distinct()
+_LAST_OF_ACTION = select(func.max(events.c.id)).where(events.c.action == bindparam("action"))
 _NEWEST = select(func.coalesce(func.max(events.c.id), 0))
-_CHANGES, _NAMED = (
-    select(*columns, frames.c.recording_id, frames.c.key)
-    .join(frames, frames.c.id == events.c.frame_id)
+# The words for a pass, an import or a change of the classes need none of their rows.
+_NAMED = (
+    select(*without_rows((events.c.source != Source.MANUAL.value) | events.c.frame_id.is_(None)), frames.c.key)
+    .outerjoin_from(events, frames, frames.c.id == events.c.frame_id)
     .where(events.c.action == bindparam("action"))
     .order_by(events.c.id)
-    for columns in (events.c, without_rows(events.c.source == Source.IMPORTED.value))
 )
-
-
-@dataclass(frozen=True)
-class _Change:
-    """One event of an action, with its frame's recording and key."""
-
-    event: Event
-    recording_id: int
-    key: str
 
 
 @dataclass(frozen=True)
@@ -104,12 +106,10 @@ class Step:
     Attributes:
         action: the action to revert: the original one, or its latest undo or redo.
         original: the operator's original action.
-        recordings: ids of the recordings in which it is to be reverted.
     """
 
     action: str
     original: str
-    recordings: frozenset[int]
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class Reverted:
     """The result of an undo or redo.
 
     Attributes:
-        frame_id: the frame; for several frames, the first one of the action.
+        frame_id: the frame; for several frames, the first one of the action; None for a change of the classes.
         receipt: of that frame.
         words: description of the action, such as "accept person (frame 000012)", and the attributes of which values
             could not be restored, because the project no longer allows these.
@@ -125,11 +125,11 @@ class Reverted:
         others: the other changed frames, each with its receipt.
     """
 
-    frame_id: int
+    frame_id: int | None
     receipt: Receipt
     words: str
     original: str
-    others: tuple[tuple[int, Receipt], ...] = ()
+    others: tuple[tuple[int | None, Receipt], ...] = ()
 
 
 @dataclass
@@ -137,16 +137,16 @@ class _Stacks:
     """An operator's stacks after the event `last`.
 
     Attributes:
-        known: the recordings of all actions so far.
-        words: descriptions, by original action and then by the recordings in which it would be reverted.
+        recordings: of all actions so far.
+        words: descriptions, by original action.
         lock: held by the thread that uses them.
     """
 
     last: int = 0
-    known: dict[str, set[int]] = field(default_factory=dict)
+    recordings: dict[str, set[int]] = field(default_factory=dict)
     undo: list[Step] = field(default_factory=list)
     redo: list[Step] = field(default_factory=list)
-    words: dict[str, dict[frozenset[int], str]] = field(default_factory=dict)
+    words: dict[str, str] = field(default_factory=dict)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def follow(self, connection: Connection, author: str) -> None:
@@ -155,48 +155,35 @@ class _Stacks:
             self.last = row.id
             # an action that is written in several calls has its place since the first
             self.words.pop(row.action, None)
-            if row.recording_id not in self.known.get(row.action, ()):
-                self.add(row.action, row.undoes, row.recording_id)
+            if row.action not in self.recordings:
+                self._add(row.action, row.undoes)
+            self.recordings.setdefault(row.action, set()).add(row.recording_id)
 
     def description(self, connection: Connection, step: Step) -> str:
         """What a step has done, in words."""
-        known = self.words.setdefault(step.original, {})
-        if step.recordings not in known:
-            known[step.recordings] = _description(connection, step)
-        return known[step.recordings]
+        if step.original not in self.words:
+            self.words[step.original] = _description(connection, step)
+        return self.words[step.original]
 
-    def add(self, action: str, undoes: str | None, recording: int) -> None:
-        """Updates both stacks with what the operator's latest action has changed in one more recording."""
-        is_new = action not in self.known
-        self.known.setdefault(action, set()).add(recording)
+    def offered(self, steps: Sequence[Step], removed: Collection[int]) -> Iterator[Step]:
+        """Yields the steps of a stack that change more than these recordings, the newest first."""
+        return (step for step in reversed(steps) if not self.recordings[step.action] <= set(removed))
+
+    def _add(self, action: str, undoes: str | None) -> None:
         if undoes is None:
-            if is_new:
-                self.redo.clear()
-            _put(self.undo, Step(action, action, frozenset({recording})), is_new)
+            self.redo.clear()
+            self.undo.append(Step(action, action))
             return
         for source, target in ((self.undo, self.redo), (self.redo, self.undo)):
-            index = _place(source, undoes)
+            index = next((n for n, step in enumerate(source) if step.action == undoes), None)
             if index is not None:
-                _put(target, Step(action, source[index].original, frozenset({recording})), is_new)
-                # the entries above were skipped: in this recording because others have changed their targets, in
-                # others perhaps because these are removed
-                above = (replace(step, recordings=step.recordings - {recording}) for step in source[index:])
-                source[index:] = [step for step in above if step.recordings]
+                target.append(Step(action, source[index].original))
+                # those above were skipped: others have changed the same, or their recordings were removed
+                changed = self.recordings[undoes]
+                source[index:] = [
+                    step for step in source[index + 1 :] if changed.isdisjoint(self.recordings[step.action])
+                ]
                 return
-
-
-def _place(steps: Sequence[Step], action: str) -> int | None:
-    """The index of an action in a stack."""
-    return next((n for n in reversed(range(len(steps))) if steps[n].action == action), None)
-
-
-def _put(steps: list[Step], step: Step, is_new: bool) -> None:
-    """Adds a step on top, or, unless it is new, its recordings to the step of the same action."""
-    index = None if is_new else _place(steps, step.action)
-    if index is None:
-        steps.append(step)
-    else:
-        steps[index] = replace(step, recordings=steps[index].recordings | step.recordings)
 
 
 class History:
@@ -210,11 +197,24 @@ class History:
         """Descriptions of the operator's next undo and redo; None where the stack is empty."""
         with self._writer.store.read() as connection, self._stacks(connection, author) as stacks:
             removed = removed_recordings(connection)
-            undo, redo = (next(_without(steps, removed), None) for steps in (stacks.undo, stacks.redo))
+            undo, redo = (next(stacks.offered(steps, removed), None) for steps in (stacks.undo, stacks.redo))
             return (
                 None if undo is None else stacks.description(connection, undo),
                 None if redo is None else stacks.description(connection, redo),
             )
+
+    def last_author(self, *, undone: bool = False) -> str | None:
+        """The author of the project's newest action that can be undone, or redone (`undone`); None without any."""
+        newest = dict[int, str]()
+        with self._writer.store.read() as connection:
+            removed = removed_recordings(connection)
+            for author in connection.execute(_AUTHORS).scalars().all():
+                with self._stacks(connection, author) as stacks:
+                    step = next(stacks.offered(stacks.redo if undone else stacks.undo, removed), None)
+                if step is not None:
+                    of_step = {"action": step.action if undone else step.original}
+                    newest[connection.execute(_LAST_OF_ACTION, of_step).scalar_one()] = author
+        return newest[max(newest)] if newest else None
 
     def undo(self, author: str, *, skip: bool = False, effort: Effort | None = None) -> Reverted:
         """Reverts the operator's last action.
@@ -235,61 +235,92 @@ class History:
         name = "undo" if is_undo else "redo"
         with self._writer.store.write() as connection:
             with self._stacks(connection, author) as stacks:
-                kept = stacks.undo if is_undo else stacks.redo
-                steps = list(_without(kept, removed_recordings(connection)))
+                removed = removed_recordings(connection)
+                steps = list(stacks.offered(stacks.undo if is_undo else stacks.redo, removed))
             if not steps:
                 raise HistoryError(f"{author} has nothing to {name}")
-            config, some_left = read_config(self._writer.folder), False
+            some_left = False
             for step in steps:
-                restoring = _Restoring(connection, config, _changes_of(connection, step.action, step.recordings))
-                if not restoring.by_frame:
+                parts, away, left_out = dict[int | None, list[int]](), set[int | None](), set[str]()
+                for row in connection.execute(_OF_ACTION, {"action": step.action}):
+                    parts.setdefault(row.frame_id, []).append(row.id)
+                    away |= {row.frame_id} if row.recording_id in removed else set()
+                try:
+                    with connection.begin_nested():
+                        receipts = self._restore(connection, parts, author, step, effort, left_out)
+                except (HistoryError, TrackTakenError, FinalisedFrameError) as error:
+                    some_left = True
+                    if not skip:
+                        raise HistoryError(
+                            f"{_description(connection, step)}: cannot be {'undone' if is_undo else 'redone'} because "
+                            f"{error}; nothing was changed; both versions are in the log",
+                            frame_id=next((frame_id for frame_id in parts if frame_id not in away | {None}), None),
+                            can_skip=True,
+                        ) from error
                     continue
-                conflict = restoring.conflict()
-                if conflict is None:
-                    try:
-                        with connection.begin_nested():
-                            receipts = self._restore(restoring, author, step, effort)
-                        break
-                    except TrackTakenError as error:
-                        conflict = f"{error}"
-                some_left = True
-                if not skip:
-                    raise HistoryError(
-                        f"{_description(connection, step)}: cannot be {'undone' if is_undo else 'redone'} because "
-                        f"{conflict}; nothing was changed; both versions are in the log",
-                        frame_id=next(iter(restoring.by_frame)),
-                    )
+                if receipts:
+                    break
             else:
                 why = ": others have changed the same data, or its class was removed" if some_left else ""
                 raise HistoryError(f"{author} has nothing {'left ' if some_left else ''}to {name}{why}")
-            (first, receipt), *others = receipts.items()
+            shown = {frame_id: receipt for frame_id, receipt in receipts.items() if frame_id not in away} or receipts
+            (first, receipt), *others = shown.items()
             words = _description(connection, step)
-            if restoring.left_out:
-                left_out = ", ".join(sorted(restoring.left_out))
-                words += f"; without values that the project no longer allows: {left_out}"
+            if left_out:
+                words += f"; without values that the project no longer allows: {', '.join(sorted(left_out))}"
             return Reverted(first, receipt, words, step.original, tuple(others))
 
-    def _restore(self, restoring: _Restoring, author: str, step: Step, effort: Effort | None) -> dict[int, Receipt]:
-        """Puts the rows of each frame back."""
-        connection, action, receipts = restoring.connection, new_action(), dict[int, Receipt]()
-        for frame_id, rows in restoring.by_frame.items():
-            revision = connection.execute(select(frames.c.revision).where(frames.c.id == frame_id)).scalar_one()
-            # counted once, on the first frame
-            context = WriteContext(revision, author, effort=None if receipts else effort, undoes=step.action)
-            where = require_writable(connection, frame_id, context)
-            write = Write(
-                self._writer.store, self._writer.folder, connection, frame_id, where, context, action, restoring.config
-            )
-            for row in rows:
-                write.put(row.table, row.key, restoring.target(row))
-            write.event(KIND)
-            receipts[frame_id] = write.finish()
-            for row in rows:
-                if row.table == "adjustments":
+    def _restore(
+        self,
+        connection: Connection,
+        parts: dict[int | None, list[int]],
+        author: str,
+        step: Step,
+        effort: Effort | None,
+        left_out: set[str],
+    ) -> dict[int | None, Receipt]:
+        """Puts the rows of each part back, the last part first, one after the other: a pass may have 100,000.
+
+        Raises:
+            HistoryError: somebody has changed a row since, or what it needs is gone; says what.
+        """
+        store, action, receipts = self._writer.store, new_action(), dict[int | None, Receipt]()
+        for frame_id, ids in reversed(parts.items()):
+            part = _Part(connection, ids, left_out)
+            if not part.rows:
+                continue
+            part.require_as_left()
+            context = WriteContext(0, author, part.source, effort=None if receipts else effort, undoes=step.action)
+            if frame_id is None:
+                receipts[None] = self._restore_classes(connection, part, context, action)
+            else:
+                revision = connection.execute(select(frames.c.revision).where(frames.c.id == frame_id)).scalar_one()
+                context = replace(context, revision=revision)
+                where = require_writable(connection, frame_id, context)
+                write = Write(store, connection, frame_id, where, context, action)
+                receipts[frame_id] = part.put_back(write, part.rows)
+            for row in part.rows:
+                if row.table == "adjustments" and frame_id is not None:
                     make_stale(connection, int(row.key), frame_id)
-        if removed_recordings(connection):  # labels of other cameras of the moment may be there again
+        if removed_recordings(connection):  # labels of removed recordings may be there again
             hide_removed(connection)
-        return receipts
+        return dict(reversed(receipts.items()))
+
+    def _restore_classes(self, connection: Connection, part: _Part, context: WriteContext, action: str) -> Receipt:
+        """Puts the classes and attributes back, and then the rows that have followed."""
+        store, terms = self._writer.store, Terms(connection)
+        before = terms.classes, terms.attributes
+        of_classes = [row for row in part.rows if row.table in SCHEMA]
+        receipt = part.put_back(write_classes(store, connection, context, action), of_classes, CLASSES_CHANGED)
+        others = [row for row in part.rows if row.table not in SCHEMA]
+        for first in range(0, len(others), BATCH):
+            write = write_classes(store, connection, replace(context, effort=None), action)
+            part.put_back(write, others[first : first + BATCH], FOLLOWED)
+        try:
+            require_consistent(connection, *before)
+        except ProjectError as error:
+            raise HistoryError(f"{error}") from error
+        return receipt
 
     @contextmanager
     def _stacks(self, connection: Connection, author: str) -> Iterator[_Stacks]:
@@ -306,50 +337,37 @@ class History:
             yield stacks
 
 
-def _without(steps: Sequence[Step], removed: Collection[int]) -> Iterator[Step]:
-    """Yields the steps of a stack without some recordings, newest first."""
-    for step in reversed(steps):
-        if left := step.recordings.difference(removed):
-            yield step if len(left) == len(step.recordings) else replace(step, recordings=left)
+class _Part:
+    """What an action has changed in one frame, or of the classes.
 
-
-def _changes_of(
-    connection: Connection, action: str, recordings: Collection[int], query: Select[Any] = _CHANGES
-) -> list[_Change]:
-    """What an action has changed in some recordings."""
-    changed = connection.execute(query, {"action": action}).all()
-    return [_Change(event_of(row), row.recording_id, row.key) for row in changed if row.recording_id in recordings]
-
-
-class _Restoring:
-    """How an action is reverted.
-
-    States from before a change of the attributes are compared and put back as they would be today, without values that
-    the project no longer allows.
+    States are compared and put back without values that the project no longer allows.
 
     Attributes:
-        by_frame: the changed rows by frame, as one change each.
-        left_out: names of the attributes of which values were left out.
+        rows: the changed rows, as one change each.
+        source: of the undo; a pass that is undone leaves finalised frames alone, like the pass.
+        left_out: gets the names of the attributes of which values were left out.
     """
 
-    def __init__(self, connection: Connection, config: ProjectConfig, changes: Sequence[_Change]) -> None:
-        self.connection, self.config, self.left_out = connection, config, set[str]()
-        self.by_frame: dict[int, list[RowChange]] = {}
+    def __init__(self, connection: Connection, ids: Sequence[int], left_out: set[str]) -> None:
+        self.connection, self.left_out = connection, left_out
+        made = list(read_events(connection, select(events).where(events.c.id.in_(ids))))
+        self.source = Source.AUTO if made[0].source is Source.AUTO else Source.MANUAL
+        self.rows = as_one(row for event in made for row in event.rows)
+        self._last = {(row.table, row.key): event for event in made for row in event.rows}
         self._terms = Terms(connection)
-        self._made: dict[int, list[Relabelling]] = {}
-        self._last: dict[tuple[str, Key], Event] = {}
-        of_frames: dict[int, list[RowChange]] = defaultdict(list)
-        for change in changes:
-            assert change.event.frame_id is not None  # as every action
-            # classes get their ids once
-            rows = [row for row in change.event.rows if row.table != "classes"]
-            of_frames[change.event.frame_id] += [self._present(row, change.event.id) for row in rows]
-            self._last |= {(row.table, row.key): change.event for row in rows}
-        for frame_id, rows in of_frames.items():
-            if whole := as_one(rows):
-                self.by_frame[frame_id] = whole
 
-    def target(self, change: RowChange) -> Row | None:
+    def put_back(self, write: Write, rows: Sequence[RowChange], kind: str = KIND) -> Receipt:
+        """Puts rows back, with one event."""
+        self._terms = write.terms
+        for row in rows:
+            write.put(row.table, row.key, self._target(row))
+        write.event(kind, CLASSES if write.frame_id is None else None)
+        receipt, now = write.finish(), Terms(self.connection)
+        if gone := sorted(self._classes(rows) - set(now.classes)):
+            raise HistoryError(f"the class {gone[0]!r} was removed")
+        return receipt
+
+    def _target(self, change: RowChange) -> Row | None:
         """The row to put back."""
         present = read_row(self.connection, change.table, change.key)
         if change.table == "adjustments" and change.before is None:
@@ -357,83 +375,57 @@ class _Restoring:
             up = select(recordings.c.up).where(recordings.c.id == change.key)
             return adjustment_row(int(change.key), Adjustment(None)) | {"up": self.connection.execute(up).scalar_one()}
         if change.before is None:
-            return None
+            # rows and events may name a class by its id
+            if change.table != "classes" or present is None:
+                return None
+            return present | {"position": None, "colour": None, "shortcut": None}
         before = self._allowed(change, change.before, present)
         return before if present is None else present | before
 
-    def conflict(self) -> str | None:
-        """Describes what prevents it: a row that somebody has changed since, or a removed class."""
-        gone = sorted(self._classes() - set(self.config.classes))
-        if gone:
-            return f"the class {gone[0]!r} was removed"
-        for rows in self.by_frame.values():
-            for row in rows:
-                present = read_row(self.connection, row.table, row.key)
-                if not self._is_as_left(row, present):
-                    author, when = self._last_change(row)
-                    return f"{self._name(row)} was changed by {author} since{when}"
-        return None
+    def require_as_left(self) -> None:
+        """Refuses to put back a row that somebody has changed since."""
+        for row in self.rows:
+            present = read_row(self.connection, row.table, row.key)
+            if present is None or row.after is None:
+                is_left = present is row.after
+            else:
+                allowed = self._allowed(row, row.after, present, note=False)
+                seen = self._allowed(row, {name: present[name] for name in row.after}, present, note=False)
+                is_left = all(seen[name] == allowed[name] for name in row.after if name != "id")
+            if not is_left:
+                author, when = self._last_change(row)
+                raise HistoryError(f"{self._name(row)} was changed by {author} since{when}")
 
-    def _is_as_left(self, row: RowChange, present: Row | None) -> bool:
-        if row.after is None or present is None:
-            return row.after is present
-        allowed = self._allowed(row, row.after, present, note=False)
-        seen = self._allowed(row, {name: present[name] for name in row.after}, present, note=False)
-        return all(seen[name] == allowed[name] for name in row.after if name != "id")
-
-    def _classes(self) -> set[str]:
-        """The classes that the rows to put back need."""
+    def _classes(self, rows: Sequence[RowChange]) -> set[str]:
+        """The classes that rows need which were put back."""
         used = set[str]()
-        for before in (row.before for rows in self.by_frame.values() for row in rows):
+        for before in (row.before for row in rows):
             if before is not None and "class_id" in before:
                 used.add(self._terms.names[before["class_id"]])
             elif before is not None and "boxes" in before:
                 used |= {box.label for box in self._terms.boxes_2d(before["boxes"])}
         return used
 
-    def _present(self, row: RowChange, event_id: int) -> RowChange:
-        """A change with its values as changes of the attributes since would have left them."""
-        if row.table not in ("labels", "frames") or not (changes := self._changes_since(event_id)):
-            return row
-        both = []
-        for state in (row.before, row.after):
-            if state is not None and row.table == "labels":
-                state = state | values_after(self._terms, changes, self._label_of(row, state), state)
-            elif state is not None and "attributes" in state:
-                values = values_of(state["attributes"])
-                for change in changes:
-                    values = change.values(values)
-                state = state | {"attributes": values_json(values) if values else None}
-            both.append(state)
-        return RowChange(row.table, row.key, *both)
-
-    def _changes_since(self, event_id: int) -> list[Relabelling]:
-        if event_id not in self._made:
-            made = made_changes(self.connection, event_id)
-            self._made[event_id] = [each.change for each in made if each.change.changes_rows]
-        return self._made[event_id]
-
-    def _label_of(self, row: RowChange, state: Row) -> str:
-        """The class of a label in a state of it."""
-        known = state if "class_id" in state else read_row(self.connection, "labels", row.key)
-        return "" if known is None else self._terms.names[known["class_id"]]
-
-    def _allowed(self, row: RowChange, state: Row, present: Row | None, *, note: bool = True) -> Row:
+    def _allowed(self, change: RowChange, state: Row, present: Row | None, *, note: bool = True) -> Row:
         """A state with such values only as the project allows now."""
-        attributes, allowed = self.config.attributes, dict(state)
-        if row.table == "frames" and "attributes" in state:
-            of_frames = [each for each in attributes if each.of is AttributeOf.FRAME]
+        terms, allowed = self._terms, dict(state)
+        if change.table == "frames" and "attributes" in state:
+            of_frames = [each for each in terms.attributes if each.of is AttributeOf.FRAME]
             values = self._fitting(of_frames, values_of(state["attributes"]), note)
             allowed["attributes"] = values_json(values) if values else None
-        if row.table == "labels" and "attributes" in state:
-            of_label = self.config.attributes_of(self._label_of(row, state))
+        if change.table == "labels" and "attributes" in state:
+            of_label = terms.attributes_of(terms.names[(state if present is None else present | state)["class_id"]])
             allowed["attributes"] = values_json(self._fitting(of_label, values_of(state["attributes"]), note))
-        if row.table == "labels" and state.get("said") is not None:
-            said = self._terms.said(state["said"], None)
-            of_label = self.config.attributes_of(said.label)
-            allowed["said"] = said_with(
-                state["said"], *(self._fitting(of_label, values, note) for values in (said.attributes, said.given))
-            )
+        image_box = box_2d_of(state.get("image_box"), terms.key)
+        if image_box is not None and image_box.label not in terms.classes:
+            allowed["image_box"] = None
+        if change.table == "labels" and state.get("said") is not None:
+            said = terms.said(state["said"], None)
+            if said.label not in terms.classes:
+                return allowed | {"said": None, "of_source": None}
+            of_label = terms.attributes_of(said.label)
+            own, given = (self._fitting(of_label, values, note) for values in (said.attributes, said.given))
+            allowed["said"] = said_with(state["said"], own, given)
         return allowed
 
     def _fitting(
@@ -448,7 +440,7 @@ class _Restoring:
         """Author and time of the last change of a row after the action."""
         event = self._last[row.table, row.key]
         query = select(events.c.author, events.c.time_ns, events.c.rows).where(events.c.id > event.id)
-        if row.table != "adjustments":
+        if row.table != "adjustments" and event.frame_id is not None:
             query = query.where(in_moment_of(event.frame_id) | events.c.frame_id.is_(None))
         for found in self.connection.execute(query.order_by(events.c.id.desc())):
             if any((each.table, each.key) == (row.table, row.key) for each in rows_of(found.rows)):
@@ -459,7 +451,9 @@ class _Restoring:
     def _name(self, row: RowChange) -> str:
         if row.table == "labels":
             return f"the {_class_of(self.connection, row, self._last[row.table, row.key])} label"
-        return _TABLE_NAMES[row.table]
+        if row.table == "classes":
+            return f"the class {self._terms.names[int(row.key)]}"
+        return f"the attribute {row.key}" if row.table == "attributes" else _TABLE_NAMES[row.table]
 
 
 _TABLE_NAMES = {
@@ -474,7 +468,7 @@ def _class_of(connection: Connection, row: RowChange, event: Event) -> str:
     """The class of a changed label after an event."""
     states = [row.after, row.before]
     if not any(state is not None and "class_id" in state for state in states):
-        of_frame = in_moment_of(event.frame_id) | (events.c.view_id == CLASSES)
+        of_frame = true() if event.frame_id is None else in_moment_of(event.frame_id) | events.c.frame_id.is_(None)
         query = select(events.c.rows).where(events.c.id > event.id, of_frame).order_by(events.c.id)
         later = (each for content in connection.execute(query).scalars() for each in rows_of(content))
         states += [each.before for each in later if (each.table, each.key) == ("labels", row.key)]
@@ -487,42 +481,44 @@ def _class_of(connection: Connection, row: RowChange, event: Event) -> str:
 
 
 def _description(connection: Connection, step: Step) -> str:
-    # the words for an import need none of its rows
-    return _action_words(connection, _changes_of(connection, step.original, step.recordings, _NAMED))
-
-
-def _action_words(connection: Connection, changes: Sequence[_Change]) -> str:
     """Description of an action, such as "accept person (frame 000012)" or "delete 3 labels (frame 000012)"."""
-    first, last = changes[0], changes[-1]
-    is_one = first.event.frame_id == last.event.frame_id
-    where = f"frame {first.key}" if is_one else f"frames {first.key} to {last.key}"
-    kinds = {change.event.kind for change in changes}
-    if first.event.source is Source.IMPORTED:
-        what = f"boxes of {first.event.effort_target}" if first.event.kind == IMPORTED else ""
+    rows = connection.execute(_NAMED, {"action": step.original}).all()
+    made, keys = [event_of(row) for row in rows], [row.key for row in rows]
+    first, last = made[0], made[-1]
+    if first.view_id == CLASSES:
+        return first.effort_target or "change the classes"
+    is_one = first.frame_id == last.frame_id
+    where = f"frame {keys[0]}" if is_one else f"frames {keys[0]} to {keys[-1]}"
+    kinds = {event.kind for event in made}
+    if first.source is Source.IMPORTED:
+        what = f"boxes of {first.effort_target}" if first.kind == IMPORTED else ""
         what = what or ("3D boxes" if any(kind.startswith("label") for kind in kinds) else "2D boxes")
         return f"import {what} ({where})"
-    if first.event.kind == ADJUSTED:
+    if first.kind == ADJUSTED:
         return _adjustment_words(connection, first)
     kind, verb = next(((kind, verb) for kind, verb in VERBS if kind in kinds), ("", "change"))
+    if first.source is Source.AUTO:
+        return f"{verb} boxes ({where})"
     # not those that are replaced by new proposals, or given the track of a deleted box
     counted = {
         row.key: row
-        for change in changes
-        for row in change.event.rows
-        if row.table == "labels" and kind in ("", change.event.kind) and not row.is_behind
+        for event in made
+        for row in event.rows
+        if row.table == "labels" and kind in ("", event.kind) and not row.is_behind
     }
     if len(counted) > 1:
         return f"{verb} {len(counted)} labels ({where})"
     for row in counted.values():
-        return f"{verb} {_class_of(connection, row, last.event)} ({where})"
+        return f"{verb} {_class_of(connection, row, last)} ({where})"
     return f"{verb} {where}" if kinds & {"frame_finalised", "frame_reopened"} else f"{verb} ({where})"
 
 
-def _adjustment_words(connection: Connection, change: _Change) -> str:
+def _adjustment_words(connection: Connection, event: Event) -> str:
     """Such as "set up of room-3"."""
-    named = select(recordings.c.name).where(recordings.c.id == change.recording_id)
+    named = select(recordings.c.name).join(frames, frames.c.recording_id == recordings.c.id)
+    named = named.where(frames.c.id == event.frame_id)
     is_turned = False
-    for row in change.event.rows:  # none, where it was set to what it was
+    for row in event.rows:  # none, where it was set to what it was
         before, after = (adjustment_row(0, Adjustment(None)) | (state or {}) for state in (row.before, row.after))
         is_turned = row.before is None and before["correction"] != after["correction"]
         is_turned |= row.before is not None and "correction" in row.before

@@ -7,7 +7,6 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from annotator.geometry.oriented_box import same_box
-from annotator.project.adjusting import moved_box
 from annotator.project.audit.writing import Write
 from annotator.project.changes import (
     REQUESTED,
@@ -30,12 +29,12 @@ from annotator.project.changes import (
     ViewBoxesRemoved,
     ViewBoxesSet,
 )
-from annotator.project.classes.attributes import Attribute, AttributeOf, fitting
-from annotator.project.classes.values import Values, after_edit, checked, is_same, new_values, of_tracks
+from annotator.project.classes.attributes import AttributeOf, fitting
+from annotator.project.classes.values import Values, after_edit, checked, new_values, of_tracks
 from annotator.project.database.schema import columns_of
-from annotator.project.records import OWN, BoxRecord, ProposalRecord, SaidRecord, suggestion_json
+from annotator.project.records import OWN, SaidRecord, suggestion_json
 from annotator.project.rows import Row, number_or_none, values_json, values_of
-from annotator.types import ReviewState, Source
+from annotator.types import Proposal, ReviewState, Source
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import AttributeValue
 
@@ -106,11 +105,7 @@ def _set_boxes(write: Write, payload: ImageBoxesSet | ViewBoxesSet, table: str, 
         "count": len(payload.boxes),
         "source": write.context.source.value,
     }
-    write.put(table, next(iter(place.values())), _in_order(table, place | row | write.author))
-
-
-def _in_order(table: str, row: Row) -> Row:
-    return {name: row[name] for name in columns_of(table)}
+    write.put(table, next(iter(place.values())), place | row | write.author)
 
 
 def new_label(write: Write, uid: str, label: str, **values: Any) -> Row:
@@ -144,31 +139,27 @@ def said_row(write: Write, said: SaidRecord, **columns: Any) -> Row:
     return row | columns
 
 
-def found_columns(write: Write, proposal: ProposalRecord) -> Row:
+def _found(write: Write, proposal: Proposal) -> Row:
     """The columns of a label that come from the recursion."""
     signals = {name: number_or_none(value) for name, value in vars(proposal.quality).items()}
-    return {"score": proposal.score, "proposed_box": write.terms.box_json(proposal.box, write.frame_id)} | signals
-
-
-def _attributes_of(write: Write, label: str) -> list[Attribute]:
-    return [each for each in write.config.attributes if each.is_of(label)]
+    return {"score": proposal.score, "proposed_box": write.box_json(proposal.box)} | signals
 
 
 def _values_of_tracks(write: Write, tracks: Collection[int | None]) -> Mapping[int | None, Values]:
-    return of_tracks(write.connection, write.terms, write.config.attributes, write.frame_id, tracks)
+    return of_tracks(write.connection, write.terms, write.frame_id, tracks)
 
 
-def _create(write: Write, payload: NewLabel) -> None:
+def _create(write: Write, payload: NewLabel, run: int | None = None) -> None:
     if write.row("labels", payload.uid) is not None:
         raise ProjectError(f"{write.where}: label {payload.uid} exists already")
-    of_label = _attributes_of(write, payload.label)
+    of_label = write.terms.attributes_of(payload.label)
     if payload.image_box is not None:
         write.class_id(payload.image_box.label)
     row = new_label(
         write,
         payload.uid,
         payload.label,
-        box=write.terms.box_json(BoxRecord.of(payload.box), write.frame_id),
+        box=write.box_json(payload.box),
         score=payload.score,
         state=payload.state.value,
         track_id=payload.track_id,
@@ -176,11 +167,12 @@ def _create(write: Write, payload: NewLabel) -> None:
         box_kind=payload.box_kind.value,
         image_box=write.terms.box_2d_json(payload.image_box),
         suggestion=suggestion_json(payload.suggestion),
+        run_id=run,
     )
     if payload.is_requested:
         given = fitting(of_label, payload.attributes)
         row |= {"source": Source.AUTO.value, "track_linked": int(payload.track_id is not None)}
-        row |= {} if payload.proposal is None else found_columns(write, ProposalRecord.of(payload.proposal))
+        row |= {} if payload.proposal is None else _found(write, payload.proposal)
     else:
         given = checked(of_label, payload.attributes, payload.label)
     of_track = _values_of_tracks(write, [payload.track_id]).get(payload.track_id, {})
@@ -197,41 +189,12 @@ def _replace_proposals(write: Write, payload: ProposalsReplaced) -> None:
     for row in write.open_proposals():
         if row["source"] != Source.IMPORTED.value:
             write.put("labels", row["uid"], None)
-    new = [entry for entry in payload.objects if entry.covered_by is None]
-    tracks = _values_of_tracks(write, [entry.track_id for entry in new]) if write.config.attributes else {}
-    for entry in new:
-        label = entry.proposal.label
-        values = new_values(_attributes_of(write, label), tracks.get(entry.track_id, {}), {})
-        found = found_columns(write, entry.proposal)
-        row = new_label(
-            write,
-            entry.uid,
-            label,
-            box=found["proposed_box"],
-            state=ReviewState.PROPOSED.value,
-            # the source of a proposal is AUTO, whoever started the pass
-            source=Source.AUTO.value,
-            track_id=entry.track_id,
-            track_linked=int(entry.track_id is not None),
-            run_id=payload.run,
-            box_kind=payload.box_kind.value,
-            attributes=values_json(values),
-        )
-        write.put("labels", entry.uid, row | found)
-    write.keep_pass(payload.run, _in_cloud(write, payload).model_dump_json(warnings="error"))
-
-
-def _in_cloud(write: Write, payload: ProposalsReplaced) -> ProposalsReplaced:
-    """A pass with its boxes, but not its traces, in the frame of the cloud."""
-    if (T := write.terms.T_camera_cloud(write.frame_id)) is None:
-        return payload
-    moved = [
-        entry.model_copy(
-            update={"proposal": entry.proposal.model_copy(update={"box": moved_box(entry.proposal.box, T.inv())})}
-        )
-        for entry in payload.objects
-    ]
-    return payload.model_copy(update={"objects": tuple(moved)})
+    for each in payload.new:
+        _create(write, each, payload.run)
+    if payload.run is not None and write.frame_id is not None and (frame := write.row("frames", write.frame_id)):
+        write.put("frames", write.frame_id, frame | {"run_id": payload.run})
+    found = [(write.class_id(each.label), each.score, write.box_json(each.box)) for each in payload.found]
+    write.keep_pass(json.dumps(found, separators=(",", ":")))
 
 
 def _link(write: Write, linked: LinkedLabel) -> None:
@@ -277,10 +240,10 @@ def _tracked(write: Write, row: Row, before: str, after: str, track_id: int | No
     """What changes of a label with its class and its track; a track set by linking stays one if the id is the same."""
     is_other = track_id != row["track_id"]
     changed: Row = {"track_id": track_id, "track_linked": 0 if is_other else row["track_linked"]}
-    if write.config.attributes and (is_other or after != before):
+    if write.terms.attributes and (is_other or after != before):
         of_track = _values_of_tracks(write, [track_id]).get(track_id, {}) if is_other else {}
         present = values_of(row["attributes"])
-        changed["attributes"] = values_json(after_edit(write.config.attributes, present, before, after, of_track))
+        changed["attributes"] = values_json(after_edit(write.terms.attributes, present, before, after, of_track))
     return changed
 
 
@@ -292,7 +255,9 @@ def _set_values(write: Write, payload: LabelAttributesSet) -> None:
         )
     name = write.terms.names[row["class_id"]]
     given = {key: value for key, value in payload.attributes.items() if value is not None}
-    both = values_of(row["attributes"]) | dict(payload.attributes) | checked(_attributes_of(write, name), given, name)
+    both = (
+        values_of(row["attributes"]) | dict(payload.attributes) | checked(write.terms.attributes_of(name), given, name)
+    )
     values = {key: value for key, value in both.items() if value is not None}
     is_own = write.context.source is Source.MANUAL and write.context.effort_target in (None, payload.uid)
     changed = {"attributes": values_json(values), "values_set": int(is_own or row["values_set"])}
@@ -303,11 +268,8 @@ def _set_frame_values(write: Write, values: Mapping[str, AttributeValue]) -> Non
     assert write.frame_id is not None  # only frames have values
     row = write.row("frames", write.frame_id)
     assert row is not None  # `require_writable` has found it
-    of_frames = [each for each in write.config.attributes if each.of is AttributeOf.FRAME]
-    # values that stay as they are may be older than the schema
-    present = values_of(row["attributes"])
-    new = {key: value for key, value in values.items() if not is_same(value, present.get(key))}
-    after = dict(values) | checked(of_frames, new, "a frame")
+    of_frames = [each for each in write.terms.attributes if each.of is AttributeOf.FRAME]
+    after = checked(of_frames, values, "a frame")
     write.put("frames", write.frame_id, row | {"attributes": values_json(after) if after else None})
 
 

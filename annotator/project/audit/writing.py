@@ -7,7 +7,6 @@ import uuid
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 from sqlalchemy import Connection
 
@@ -23,13 +22,20 @@ from annotator.project.audit.events import (
     read_row,
 )
 from annotator.project.classes.values import is_kept
-from annotator.project.config import ProjectConfig, read_config
 from annotator.project.database.schema import columns_of, packed
 from annotator.project.database.store import Store, driver_of
+from annotator.project.records import BoxRecord
 from annotator.project.rows import Row, Terms
-from annotator.types import ReviewState, Source
-from annotator.types.errors import ProjectError, TrackTakenError
+from annotator.types import OrientedBox, ReviewState, Source
+from annotator.types.errors import HistoryError, ProjectError, TrackTakenError
 from annotator.types.messages import alternatives
+
+# Frames with boxes of a class, hidden ones included.
+_OF_CLASS = (
+    "SELECT frame_id FROM labels WHERE class_id = :id OR instr(ifnull(said, '') || ifnull(image_box, ''), :named) "
+    "UNION SELECT frame_id FROM image_labels WHERE instr(boxes, :named) "
+    "UNION SELECT frame_id FROM view_labels WHERE frame_id IS NOT NULL AND instr(boxes || ifnull(geometry, ''), :named)"
+)
 
 
 @dataclass(frozen=True)
@@ -54,7 +60,9 @@ class WriteContext:
         author: name of the operator or program; not empty.
         source: manual, automatic or imported.
         effort: of the operator, if counted.
-        effort_target: uid of the label, or id of the draft, that the effort was for; default: the changed labels.
+        effort_target: uid of the label, or id of the draft, that the effort was for; default: the changed labels. Of
+            a change of the classes, what changes, in words.
+        maker: who has made the boxes, if that is not the author: a program that the author has started.
         undoes: the action that this change reverts.
     """
 
@@ -63,6 +71,7 @@ class WriteContext:
     source: Source = Source.MANUAL
     effort: Effort | None = None
     effort_target: str | None = None
+    maker: str | None = None
     undoes: str | None = None
 
     def __post_init__(self) -> None:
@@ -77,38 +86,31 @@ class Write:
         frame_id: None for a view without a frame, and for the classes.
         where: names it in messages.
         terms: of the transaction.
-        config: of the project.
     """
 
     def __init__(
         self,
         store: Store,
-        folder: Path,
         connection: Connection,
         frame_id: int | None,
         where: str,
         context: WriteContext,
         action: str | None = None,
-        config: ProjectConfig | None = None,
         terms: Terms | None = None,
     ) -> None:
         self.connection, self.frame_id, self.where, self.context = connection, frame_id, where, context
         self.terms = Terms(connection) if terms is None else terms
         self.time_ns = store.clock()
-        self._folder, self._config, self._action = folder, config, action
+        self._action = action
         # the known rows, with what was put in their places
         self._now: dict[tuple[str, Key], Row | None] = {}
         self._knows_all = False
         self._rows: list[RowChange] = []
         self._events: list[tuple[str, str | None, tuple[RowChange, ...]]] = []
-        self._pass: tuple[int | None, str] | None = None
-
-    @property
-    def config(self) -> ProjectConfig:
-        """The project's configuration, read from the file: another process may have added a class."""
-        if self._config is None:
-            self._config = read_config(self._folder)
-        return self._config
+        self._pass: str | None = None
+        self._boxes = dict[OrientedBox, str]()
+        # frames whose labels or values a change of the classes has changed
+        self._stale = set[int]()
 
     @cached_property
     def moment_id(self) -> int | None:
@@ -120,7 +122,7 @@ class Write:
     @property
     def author(self) -> Row:
         """The columns of who changes a row, and when."""
-        return {"author": self.context.author, "time_ns": self.time_ns}
+        return {"author": self.context.maker or self.context.author, "time_ns": self.time_ns}
 
     # --- rows ---------------------------------------------------------------------------------------------------------
 
@@ -137,6 +139,8 @@ class Write:
         if (change := changed_row(table, key, before, after)) is not None:
             self._now[table, key] = after
             self._rows.append(change)
+            if self.frame_id is None:
+                self._stale |= self._frames_of(change, after or before or {})
 
     def label(self, uid: str) -> Row:
         """The row of a label of the frame's moment.
@@ -187,7 +191,7 @@ class Write:
         def is_open(row: Row) -> bool:
             # not in the frame of another camera of the moment
             is_proposed = row["state"] == ReviewState.PROPOSED.value and row["frame_id"] == self.frame_id
-            return is_proposed and not is_kept(row, self.terms, self.config.attributes)
+            return is_proposed and not is_kept(row, self.terms)
 
         def shown(row: Row) -> Row:
             uid = row["behind"]
@@ -205,22 +209,19 @@ class Write:
         return uid
 
     def class_id(self, name: str) -> int:
-        """The id of a class of the project; one that no row has had yet gets one.
-
-        Raises:
-            ProjectError: an unknown class.
-        """
-        if name not in self.config.classes:
+        """The id of a class of the project."""
+        if name not in self.terms.classes:
             raise ProjectError(
-                f"{self.where}: {name!r} is not a class of the project; {alternatives(name, self.config.classes)}; "
+                f"{self.where}: {name!r} is not a class of the project; {alternatives(name, self.terms.classes)}; "
                 "use one of the project's classes, or add the missing ones to the project first"
             )
-        known = self.terms.ids.get(name)
-        if known is None:
-            known = self.terms.add(name)
-            self._now["classes", known] = None
-            self.put("classes", known, {"id": known, "name": name})
-        return known
+        return self.terms.ids[name]
+
+    def box_json(self, box: OrientedBox) -> str:
+        """A 3D box, camera frame, as it is stored; made once for the label and for what a pass has found."""
+        if box not in self._boxes:
+            self._boxes[box] = self.terms.box_json(BoxRecord.of(box), self.frame_id)
+        return self._boxes[box]
 
     # --- events -------------------------------------------------------------------------------------------------------
 
@@ -229,17 +230,21 @@ class Write:
         self._events.append((kind, view, tuple(as_one(self._rows))))
         self._rows = []
 
-    def keep_pass(self, run: int | None, content: str) -> None:
-        """Keeps the traces of an automatic pass in the place of those of the one before."""
-        self._pass = run, content
+    def keep_pass(self, content: str) -> None:
+        """Keeps what an automatic pass has found in the place of what the one before has."""
+        self._pass = content
 
     def finish(self) -> Receipt:
         """Stores the rows and the events.
 
         Raises:
             TrackTakenError: a track would get a second box in the frame.
+            HistoryError: the action is a long one, and was undone meanwhile.
         """
         context, stored = self.context, list[Event]()
+        undone = "SELECT 1 FROM events WHERE undoes = ?"
+        if self._action is not None and driver_of(self.connection).execute(undone, (self._action,)).fetchone():
+            raise HistoryError("it was undone while it was running, so it has ended")
         for revision, (kind, view, rows) in enumerate(self._events, context.revision + 1):
             event = Event(
                 id=0,
@@ -260,9 +265,8 @@ class Write:
         if stored:
             self._apply(stored)
         if self._pass is not None:
-            run, content = self._pass
-            values = (self.frame_id, stored[0].id, run, packed(content))
-            self.connection.exec_driver_sql("INSERT OR REPLACE INTO passes VALUES (?, ?, ?, ?)", values)
+            values = (self.frame_id, stored[0].id, packed(self._pass))
+            self.connection.exec_driver_sql("INSERT OR REPLACE INTO passes VALUES (?, ?, ?)", values)
         return Receipt(tuple(event.id for event in stored), context.revision + len(stored))
 
     def _apply(self, stored: list[Event]) -> None:
@@ -280,6 +284,25 @@ class Write:
         if self.frame_id is not None:
             newer = "UPDATE frames SET revision = ? WHERE moment_id = ?"
             driver_of(self.connection).execute(newer, (stored[-1].revision, self.moment_id))
+        elif self._stale:
+            # changes that are based on the earlier classes are refused
+            driver = driver_of(self.connection)
+            moments = {
+                driver.execute("SELECT moment_id FROM frames WHERE id = ?", (id,)).fetchone() for id in self._stale
+            }
+            driver.executemany("UPDATE frames SET revision = revision + 1 WHERE moment_id = ?", sorted(moments))
+
+    def _frames_of(self, change: RowChange, row: Row) -> set[int]:
+        """The frames that a change of the classes makes stale; of a renamed class, those with boxes of it."""
+        if change.table == "classes":
+            if not (change.is_update and "name" in (change.after or {})):
+                return set()
+            found = driver_of(self.connection).execute(
+                _OF_CLASS, {"id": change.key, "named": f'"label":"{change.key}"'}
+            )
+            return {frame_id for (frame_id,) in found}
+        frame_id = row.get("id" if change.table == "frames" else "frame_id")
+        return set() if frame_id is None else {frame_id}
 
     def _track_with_two(self) -> int:
         """The track with two boxes in the frame, after an attempt to store both."""

@@ -130,9 +130,9 @@ def _require_space(folder: Path, needed: int) -> None:
 
 
 # --- automatic backups ------------------------------------------------------------------------------------------------
-# Before a database is upgraded, before classes or values are merged or removed, and after some hours of
-# changes while a server runs. They are files in `.backups/PROJECT` beside the project's folder, so they outlive it.
-# Only the last few of each kind are kept. They contain the active detectors, not all.
+# Before a database is upgraded, and after some hours of changes while a server runs. They are files in
+# `.backups/PROJECT` beside the project's folder, so they outlive it. Only the last few of each kind are kept. They
+# contain the active detectors, not all.
 
 LOG = logging.getLogger("annotator.project")
 _NS_PER_HOUR = 3600 * 10**9
@@ -143,7 +143,6 @@ class Reason(StrEnum):
 
     CHANGES = "changes"
     UPGRADE = "before-upgrade"
-    CLASSES = "before-classes"
 
 
 def automatic_backups(project: Path, reason: Reason | None = None) -> list[Path]:
@@ -186,7 +185,8 @@ def is_backup_due(project: Path, store: Store) -> bool:
         newest = connection.execute(select(func.coalesce(func.max(events.c.id), 0))).scalar_one()
         # a restored project has fewer events than its backups, which say nothing about it
         after = last if (last := _last_backed_up(project)) <= newest else 0
-        first = connection.execute(select(events.c.time_ns).where(events.c.id > after).limit(1)).scalar()
+        # the first event has set up the classes
+        first = connection.execute(select(events.c.time_ns).where(events.c.id > max(after, 1)).limit(1)).scalar()
     return first is not None and time.time_ns() - first >= hours * _NS_PER_HOUR
 
 

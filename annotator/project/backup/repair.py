@@ -26,6 +26,7 @@ from annotator.project.audit.events import (
     apply_events,
     event_of,
     hide_removed,
+    insert_event,
     read_row,
     without_track_index,
 )
@@ -42,18 +43,21 @@ from annotator.project.backup.snapshot import (
     sync_files,
     write_snapshot,
 )
-from annotator.project.config import CONFIG_FILE, ProjectConfig, ProjectSettings, new_config, read_config, write_config
+from annotator.project.classes.changing import KIND as CLASSES_CHANGED
+from annotator.project.classes.changing import set_up_classes
+from annotator.project.config import CONFIG_FILE, ProjectConfig, ProjectFile, read_config, write_config
 from annotator.project.database.migrations import UNRELEASED, version_problem
 from annotator.project.database.schema import AUDITED, columns_of, events, frames, unpacked
 from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained, wal_of
+from annotator.project.rows import Terms
 from annotator.types import Source
 from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
 
 AUTHOR, KIND = "annotator project repair", "repaired"
 # Tables that no event changes, in the order of their references.
-_PLAIN = ("recordings", "runs", "frames", "frame_results", "models", "class_changes")
+_PLAIN = ("recordings", "runs", "frames", "frame_results", "models")
 # Columns that are as before any event.
-_UNCHANGED = {"frames": {"revision": 0, "finalised": 0, "attributes": None}}
+_UNCHANGED = {"frames": {"revision": 0, "finalised": 0, "attributes": None, "run_id": None}}
 
 Row = dict[str, Any]
 
@@ -108,13 +112,20 @@ def repair(project: Path, new_name: str | None = None) -> Repaired:
                 _copy_plain(source, store, repaired.lost, _PLAIN)
                 _replay(source, store, repaired)
                 _copy_plain(source, store, repaired.lost, ("passes",))  # which refer to events
-                config = _config(project, name, source)
+                try:
+                    file = read_config(project)
+                except ProjectError:
+                    file = ProjectFile(name=name, created_ns=time.time_ns())
         except sqlite3.Error as error:
             newest = "".join(f"; the newest automatic one is {path}" for path in automatic_backups(project)[-1:])
             raise ProjectError(f"{database}: nothing can be read ({error}); {RESTORE}{newest}") from error
         if repaired.lost.total():
             _restore_states(copy, store, repaired)
-        write_config(place, config)
+        with store.write() as connection:
+            if not Terms(connection).classes:
+                config = ProjectConfig(**dict(file), classes=("object",))
+                set_up_classes(store, connection, config, AUTHOR)
+        write_config(place, file)
         store.close()
         names, repaired.missing = copied_files(project, place / DATABASE_FILE)
         copy_files(project, place, [name for name in names if name != CONFIG_FILE], lambda done, total: None)
@@ -138,10 +149,16 @@ def remove_labels(database: Path) -> None:
     """
     empty = database.with_name(f"{database.name}.unlabelled")
     with explained(database), closing(create_store(empty)) as new, reading(database) as source:
-        # changes of classes: detectors that were trained before a class was renamed need them
-        before_all = _UNCHANGED | {"class_changes": {"event_id": 0}}  # the copy counts its events anew
-        _copy_plain(source, new, Counter(), ("recordings", "frames", "models", "class_changes"), before_all)
+        _copy_plain(source, new, Counter(), ("recordings", "frames", "models"))
         with new.write() as connection:
+            # with their history: detectors that were trained before a class was renamed need it
+            of_classes = "SELECT * FROM events WHERE view_id = ? AND kind = ? AND frame_id IS NULL ORDER BY id"
+            cursor = source.execute(of_classes, (CLASSES, CLASSES_CHANGED))
+            for values in cursor:
+                row = dict(zip((column[0] for column in cursor.description), values, strict=True))
+                row |= {"rows": unpacked(row["rows"]), "action": None, "undoes": None}
+                made = event_of(SimpleNamespace(**row))
+                apply_events(connection, [insert_event(connection, made)])
             of_present = "recording_id IN (SELECT id FROM recordings WHERE removed_ns IS NULL)"
             _keep(connection, "frames", "moment_id", f"position IS NOT NULL AND {of_present}")
             _keep(connection, "recordings", "rig_id", "removed_ns IS NULL")
@@ -287,20 +304,10 @@ def _put(connection: Connection, store: Store, frame_id: int | None, table: str,
     if table == "view_labels":
         view = str(key).partition(":")[0]
     context = WriteContext(_revision(connection, {"frame_id": frame_id, "view_id": view}), AUTHOR, Source.IMPORTED)
-    write = Write(store, store.path.parent, connection, frame_id, KIND, context)
+    write = Write(store, connection, frame_id, KIND, context)
     write.put(table, key, after)
     write.event(KIND, view)
     write.finish()
-
-
-def _config(project: Path, name: str, source: sqlite3.Connection) -> ProjectConfig:
-    """The project's settings; if they cannot be read, the classes of its labels."""
-    try:
-        return read_config(project)
-    except ProjectError:
-        rows = _rows(source, "classes", Counter())
-        classes = tuple(sorted({str(row["name"]) for row in rows})) or ("object",)
-        return new_config(name, classes, ProjectSettings(), time.time_ns())
 
 
 def _rows(source: sqlite3.Connection, table: str, lost: Counter[str]) -> Iterator[Row]:

@@ -1,4 +1,4 @@
-"""The schema of attributes and the looks of classes, as in `project.json`, and what its changes do to labels."""
+"""The schema of attributes and the looks of classes, and what its changes do to labels."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, Any
 
@@ -202,15 +203,17 @@ def value_text(value: AttributeValue) -> str:
 # --- what a change does to stored labels ------------------------------------------------------------------------------
 
 
-class Filled(Strict):
+@dataclass(frozen=True)
+class Filled:
     """A value for the boxes of some classes (none: of all) that have no value of an attribute."""
 
     name: str
-    value: Value
+    value: AttributeValue
     classes: tuple[str, ...] = ()
 
 
-class Relabelling(Strict):
+@dataclass(frozen=True)
+class Relabelling:
     """What happens to stored labels.
 
     Attributes:
@@ -220,11 +223,11 @@ class Relabelling(Strict):
         fitted: attributes whose definition is narrower now; values that do not fit are removed.
     """
 
-    classes: dict[str, str] = Field(default_factory=dict)
+    classes: dict[str, str] = field(default_factory=dict)
     removed: tuple[str, ...] = ()
-    attributes: dict[str, str] = Field(default_factory=dict)
+    attributes: dict[str, str] = field(default_factory=dict)
     dropped: tuple[str, ...] = ()
-    choices: dict[str, dict[str, str]] = Field(default_factory=dict)
+    choices: dict[str, dict[str, str]] = field(default_factory=dict)
     filled: tuple[Filled, ...] = ()
     fitted: tuple[Attribute, ...] = ()
 
@@ -232,10 +235,6 @@ class Relabelling(Strict):
     def changes_rows(self) -> bool:
         """Whether rows of labels or frames change, and not only the names of classes."""
         return self != Relabelling(classes=self.classes)
-
-    def label(self, name: str) -> str | None:
-        """A class name after the change; None for a removed class."""
-        return None if name in self.removed else self.classes.get(name, name)
 
     def values(self, values: Mapping[str, AttributeValue]) -> dict[str, AttributeValue]:
         """The values of a label or frame after the change."""
@@ -255,11 +254,3 @@ class Relabelling(Strict):
 
     def _choice(self, name: str, value: AttributeValue) -> AttributeValue:
         return self.choices.get(name, {}).get(value, value) if isinstance(value, str) else value
-
-
-def renamed_over(changes: Iterable[Relabelling], names: Iterable[str]) -> dict[str, str | None]:
-    """Class name -> its name after several changes, in order; None for a removed one."""
-    new: dict[str, str | None] = {name: name for name in names}
-    for change in changes:
-        new = {old: None if name is None else change.label(name) for old, name in new.items()}
-    return new

@@ -1,98 +1,111 @@
-"""Changes of the classes and attributes: what they do to the rows, and to states from before them."""
+"""Changes of the classes and attributes: their rows, and the rows of boxes and frames that follow. One action each."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from sqlalchemy import Connection, func, insert, select
+from pydantic import ValidationError
+from sqlalchemy import Connection, select
 
-from annotator.project.audit.events import CLASSES
+from annotator.project.audit.events import CLASSES, read_events
 from annotator.project.audit.writing import Write, WriteContext
-from annotator.project.classes.attributes import Relabelling
-from annotator.project.config import ProjectConfig, config_hash
-from annotator.project.database.schema import AUDITED, class_changes, columns_of, events
-from annotator.project.database.store import driver_of
-from annotator.project.log import Writer
-from annotator.project.records import parsed
+from annotator.project.classes.attributes import Attribute, ClassStyle, Relabelling
+from annotator.project.classes.counts import require_fitting
+from annotator.project.classes.edit import ClassEdit
+from annotator.project.config import ProjectConfig, ProjectFile, whole_config
+from annotator.project.database.schema import AUDITED, columns_of, events
+from annotator.project.database.store import Store, driver_of
+from annotator.project.log import new_action, next_revision
 from annotator.project.rows import Row, Terms, box_2d_of, said_with, values_json, values_of
 from annotator.project.sources import KIND as IMPORTED
 from annotator.project.sources import regroup
 from annotator.types import Source
+from annotator.types.errors import ProjectError
+from annotator.types.messages import first_problem
 
-KIND = "classes_changed"
+# The kinds of events: with rows of classes and attributes, also of their undo; with the rows that follow these.
+KIND, FOLLOWED = "classes_changed", "classes_followed"
 # Rows that are read, and changed by one event, at once: a project may have 100,000.
-_BATCH = 2000
+BATCH = 2000
 
 
-def change_classes(
-    writer: Writer, connection: Connection, old: ProjectConfig, new: ProjectConfig, change: Relabelling, author: str
-) -> int:
-    """Changes the rows, within the caller's write transaction; returns the number of the change.
+def change_classes(store: Store, connection: Connection, made: ClassEdit, author: str) -> None:
+    """Changes the rows, within the caller's write transaction.
 
     Frames of which anything changes get a new revision, so that changes which are based on the earlier classes are
     refused.
     """
-    newest = connection.execute(select(func.coalesce(func.max(events.c.id), 0))).scalar_one()
-    stale = set[int]()
-    of_classes = (events.c.view_id == CLASSES) & events.c.frame_id.is_(None)  # as the index has it
-    query = select(func.max(events.c.revision)).where(of_classes)
-    revision = connection.execute(query).scalar() or 0
-    write = _write(writer, connection, revision, author, old)
-    for number, name in list(write.terms.names.items()):
-        if name in change.classes:
-            write.put("classes", number, {"id": number, "name": change.classes[name]})
-            stale |= _frames_of(connection, number)
+    action, change = new_action(), made.change
+    write = write_classes(store, connection, WriteContext(0, author, effort_target=made.words), action)
+    classes, attributes = write.terms.classes, write.terms.attributes
+    _put_classes(write, made.config, change)
     write.event(KIND, CLASSES)
-    revision = write.finish().revision
+    write.finish()
     for batch in _changed_rows(connection, change) if change.changes_rows else ():
-        write = _write(writer, connection, revision, author, old)
-        for table, before, after in batch:
-            key = before[AUDITED[table]]
-            write.know(table, key, before)
-            write.put(table, key, after)
-            if (frame_id := before["id"] if table == "frames" else before["frame_id"]) is not None:
-                stale.add(frame_id)
-        write.event(KIND, CLASSES)
-        revision = write.finish().revision
-    driver = driver_of(connection)
-    moments = {driver.execute("SELECT moment_id FROM frames WHERE id = ?", (id,)).fetchone() for id in stale}
-    driver.executemany("UPDATE frames SET revision = revision + 1 WHERE moment_id = ?", sorted(moments))
+        write = write_classes(store, connection, WriteContext(0, author), action)
+        for table, row, after in batch:
+            write.know(table, row[AUDITED[table]], row)
+            write.put(table, row[AUDITED[table]], after)
+        write.event(FOLLOWED, CLASSES)
+        write.finish()
     if change.removed:
-        _show_others(writer, connection, old, author)
-    row = {"event_id": newest, "author": author, "time_ns": writer.store.clock()}
-    row |= {"content": change.model_dump_json(), "config": config_hash(new)}
-    key = connection.execute(insert(class_changes), row).inserted_primary_key
-    assert key is not None  # one row was inserted
-    return int(key[0])
+        _show_others(store, connection, author, action)
+    require_consistent(connection, classes, attributes)
 
 
-def _write(
-    writer: Writer,
-    connection: Connection,
-    revision: int,
-    author: str,
-    config: ProjectConfig,
-    frame_id: int | None = None,
-) -> Write:
-    where = "the classes" if frame_id is None else f"frame with id {frame_id}"
-    context = WriteContext(revision, author, Source.MANUAL if frame_id is None else Source.IMPORTED)
-    return Write(writer.store, writer.folder, connection, frame_id, where, context, None, config)
+def set_up_classes(store: Store, connection: Connection, config: ProjectConfig, author: str) -> None:
+    """Writes the classes of a new project, which cannot be undone."""
+    write = write_classes(store, connection, WriteContext(0, author), None)
+    _put_classes(write, config, Relabelling())
+    write.event(KIND, CLASSES)
+    write.finish()
 
 
-def _frames_of(connection: Connection, class_id: int) -> set[int]:
-    """Frames with boxes of a class, hidden ones included."""
-    named = f'"label":"{class_id}"'
-    queries = (
-        "SELECT frame_id FROM labels WHERE class_id = :id OR instr(ifnull(said, '') || ifnull(image_box, ''), :named)",
-        "SELECT frame_id FROM image_labels WHERE instr(boxes, :named)",
-        "SELECT frame_id FROM view_labels WHERE frame_id IS NOT NULL AND instr(boxes || ifnull(geometry, ''), :named)",
-    )
-    found = driver_of(connection).execute(" UNION ".join(queries), {"id": class_id, "named": named})
-    return {frame_id for (frame_id,) in found}
+def write_classes(store: Store, connection: Connection, context: WriteContext, action: str | None) -> Write:
+    """A write of the classes, or of the rows that follow; sets the context's revision."""
+    context = replace(context, revision=next_revision(connection, CLASSES) - 1)
+    return Write(store, connection, None, "the classes", context, action)
 
 
-def _show_others(writer: Writer, connection: Connection, config: ProjectConfig, author: str) -> None:
+def require_consistent(connection: Connection, classes: Sequence[str], attributes: Sequence[Attribute]) -> None:
+    """Refuses a change from these classes and attributes, which has been made, if they, or the rows, do not fit."""
+    try:
+        whole_config(ProjectFile(name="", created_ns=0), Terms(connection))
+    except ValidationError as error:
+        raise ProjectError(first_problem(error)) from error
+    require_fitting(connection, classes, attributes)
+
+
+def _put_classes(write: Write, new: ProjectConfig, change: Relabelling) -> None:
+    """Puts the rows of the classes and attributes."""
+    terms, rows = write.terms, dict[int, Row]()
+    for number, name in terms.names.items():
+        named = {"id": number, "name": change.classes.get(name, name)}
+        rows[number] = named | {"position": None, "colour": None, "shortcut": None}
+    ids = dict[str, int]()
+    for position, name in enumerate(new.classes):
+        old = [before for before, after in change.classes.items() if after == name]
+        before = name if name in terms.classes or not old else old[0]
+        # a class that was removed gets its id back
+        ids[name] = number = terms.ids.get(before, max(rows, default=0) + 1)
+        style = new.class_styles.get(name, ClassStyle())
+        looks = {"position": position, "colour": style.colour, "shortcut": style.key}
+        rows[number] = {"id": number, "name": name} | looks
+    for number, row in rows.items():
+        write.put("classes", number, row)
+    for position, each in enumerate(new.attributes):
+        fields = each.model_dump(mode="json", exclude={"name"})
+        if each.classes:
+            fields["classes"] = [ids[name] for name in each.classes]
+        content = json.dumps(fields, ensure_ascii=False, separators=(",", ":"))
+        write.put("attributes", each.name, {"name": each.name, "position": position, "content": content})
+    for name in {each.name for each in terms.attributes} - {each.name for each in new.attributes}:
+        write.put("attributes", name, None)
+
+
+def _show_others(store: Store, connection: Connection, author: str, action: str) -> None:
     """Shows other sources' boxes where the one before them was of a removed class."""
     query = (
         "SELECT DISTINCT frames.id, frames.revision FROM labels JOIN frames ON frames.id = frame_id "
@@ -100,7 +113,8 @@ def _show_others(writer: Writer, connection: Connection, config: ProjectConfig, 
     )
     for frame_id, revision in driver_of(connection).execute(query).fetchall():
         # the frame may be finalised, or of a removed recording
-        write = _write(writer, connection, revision, author, config, frame_id)
+        context = WriteContext(revision, author, Source.IMPORTED)
+        write = Write(store, connection, frame_id, f"frame with id {frame_id}", context, action)
         regroup(write, write.open_proposals())
         write.event(IMPORTED)
         write.finish()
@@ -113,19 +127,15 @@ def _changed_rows(connection: Connection, change: Relabelling) -> Iterator[list[
         if table in ("image_labels", "view_labels") and not change.removed:
             continue
         for rows in _batches(connection, table):
-            batch = list[tuple[str, Row, Row | None]]()
-            for row in rows:
-                after = _changed(terms, change, table, row)
-                if after != row:
-                    batch.append((table, row, after))
-            if batch:
+            changed = ((table, row, _changed(terms, change, table, row)) for row in rows)
+            if batch := [(table, row, after) for table, row, after in changed if after != row]:
                 yield batch
 
 
 def _batches(connection: Connection, table: str) -> Iterator[list[Row]]:
     columns, after = columns_of(table), -1
     listed = ", ".join(f'"{column}"' for column in columns)
-    query = f"SELECT rowid, {listed} FROM {table} WHERE rowid > ? ORDER BY rowid LIMIT {_BATCH}"
+    query = f"SELECT rowid, {listed} FROM {table} WHERE rowid > ? ORDER BY rowid LIMIT {BATCH}"
     while found := driver_of(connection).execute(query, (after,)).fetchall():
         yield [dict(zip(columns, values[1:], strict=True)) for values in found]
         after = found[-1][0]
@@ -137,10 +147,7 @@ def _changed(terms: Terms, change: Relabelling, table: str, row: Row) -> Row | N
         values = change.values(values_of(row["attributes"]))
         return row | {"attributes": values_json(values) if values else None}
     if table == "labels":
-        name = terms.names[row["class_id"]]
-        if name in change.removed:
-            return None
-        return row | values_after(terms, [change], name, row)
+        return _changed_label(terms, change, row)
     boxes = terms.boxes_2d(row["boxes"])
     left = [box for box in boxes if box.label not in change.removed]
     if table == "view_labels":
@@ -154,43 +161,58 @@ def _changed(terms: Terms, change: Relabelling, table: str, row: Row) -> Row | N
     return row if len(left) == len(boxes) else row | {"boxes": terms.boxes_2d_json(left), "count": len(left)}
 
 
-# --- states from before a change --------------------------------------------------------------------------------------
+def _changed_label(terms: Terms, change: Relabelling, row: Row) -> Row | None:
+    name = terms.names[row["class_id"]]
+    if name in change.removed:
+        return None
+    after = row | {"attributes": values_json(change.values_of(name, values_of(row["attributes"])))}
+    image_box = box_2d_of(row["image_box"], terms.key)
+    if image_box is not None and image_box.label in change.removed:
+        after["image_box"] = None
+    if row["said"] is not None:
+        said = terms.said(row["said"], None)
+        if said.label in change.removed:
+            return after | {"said": None, "of_source": None}
+        own, given = (change.values_of(said.label, values) for values in (said.attributes, said.given))
+        after["said"] = said_with(row["said"], own, given)
+    return after
+
+
+# --- what was changed -------------------------------------------------------------------------------------------------
+
+_OF_CLASSES = (events.c.view_id == CLASSES) & events.c.frame_id.is_(None) & (events.c.kind == KIND)
 
 
 @dataclass(frozen=True)
 class MadeChange:
-    """A change of the classes, with its time (UTC nanoseconds since the epoch) and author."""
+    """A change of the classes, or its undo: who made it, and the old name of each renamed class -> the new one."""
 
-    time_ns: int
     author: str
-    change: Relabelling
+    renamed: dict[str, str]
 
 
-def made_changes(connection: Connection, event_id: int = 0) -> list[MadeChange]:
+def made_changes(connection: Connection, event_id: int) -> list[MadeChange]:
     """The changes of the classes after an event, in order."""
-    query = select(class_changes).where(class_changes.c.event_id >= event_id).order_by(class_changes.c.id)
     return [
-        MadeChange(row.time_ns, row.author, parsed(Relabelling.model_validate_json, row.content))
-        for row in connection.execute(query)
+        MadeChange(
+            event.author,
+            {
+                row.before["name"]: row.after["name"]
+                for row in event.rows
+                if row.table == "classes" and row.before and row.after and "name" in row.after
+            },
+        )
+        for event in read_events(connection, select(events).where(_OF_CLASSES), event_id)
     ]
 
 
-def values_after(terms: Terms, changes: Sequence[Relabelling], label: str, row: Row) -> Row:
-    """The columns of a label that changes of the classes and attributes change, as far as the row has them."""
-    after: Row = {}
-    if (image_box := box_2d_of(row.get("image_box"), terms.key)) is not None:
-        is_gone = any(image_box.label in change.removed for change in changes)
-        after["image_box"] = None if is_gone else row["image_box"]
-    if "attributes" in row:
-        values = values_of(row["attributes"])
-        for change in changes:
-            values = change.values_of(label, values)
-        after["attributes"] = values_json(values)
-    if row.get("said") is not None:
-        said = terms.said(row["said"], None)
-        own, given = dict(said.attributes), dict(said.given)
-        for change in changes:
-            own, given = change.values_of(said.label, own), change.values_of(said.label, given)
-        is_gone = any(said.label in change.removed for change in changes)
-        after |= {"said": None, "of_source": None} if is_gone else {"said": said_with(row["said"], own, given)}
-    return after
+def present_names(connection: Connection, names: Sequence[str], time_ns: int) -> dict[str, str | None]:
+    """Names that classes had at a time (UTC nanoseconds) -> their present names; None for a removed class."""
+    then, terms = dict[int, Row](), Terms(connection)
+    for event in read_events(connection, select(events).where(_OF_CLASSES, events.c.time_ns <= time_ns)):
+        for row in event.rows:
+            if row.table == "classes":
+                then[int(row.key)] = then.get(int(row.key), {}) | (row.after or {})
+    ids = {row["name"]: number for number, row in then.items() if row["position"] is not None}
+    now = {name: terms.names[number] for name, number in ids.items()}
+    return {name: after if (after := now.get(name, name)) in {*terms.classes, name} else None for name in names}

@@ -86,12 +86,22 @@ def counts_with_defaults(
     return _by_name(counts), dict(without)
 
 
-def require_fitting(connection: Connection, before: Sequence[Attribute], after: Sequence[Attribute]) -> None:
-    """Refuses a change of attributes that stored values do not fit."""
-    for attribute in after:
-        if any(attribute.has_same_values(each) for each in before):
+def require_fitting(connection: Connection, classes: Sequence[str], attributes: Sequence[Attribute]) -> None:
+    """Refuses a change from these classes and attributes, which has been made, if boxes or values do not fit it."""
+    now = Terms(connection)
+    gone = set(classes) - set(now.classes)
+    if used := sorted(gone & class_counts(connection, removed=True).keys()) if gone else []:
+        raise ProjectError(
+            f"{', '.join(map(repr, used))} cannot be removed while boxes use it; give them another class (--into on "
+            "the command line), or remove them, too (--with-boxes); recordings that were removed may have some"
+        )
+    if now.attributes == tuple(attributes):
+        return
+    stored = list(_stored(connection, everywhere=True))
+    for attribute in {each.name: each for each in (*attributes, *now.attributes)}.values():
+        if any(attribute.has_same_values(each) for each in attributes) and attribute in now.attributes:
             continue
-        wrong = list(_misfits(connection, attribute))
+        wrong = list(_misfits(stored, attribute, attribute not in now.attributes))
         if wrong:
             number, example = sum(number for number, _ in wrong), wrong[0][1]
             raise ProjectError(
@@ -112,12 +122,14 @@ def _by_name(counts: Mapping[str, Counter[str]]) -> dict[str, dict[str, int]]:
     return {name: dict(counts[name].most_common()) for name in sorted(counts)}
 
 
-def _misfits(connection: Connection, attribute: Attribute) -> Iterator[tuple[int, str]]:
-    for label, values, number in _stored(connection, everywhere=True):
+def _misfits(stored: Iterable[_Stored], attribute: Attribute, is_gone: bool) -> Iterator[tuple[int, str]]:
+    for label, values, number in stored:
         if attribute.name not in values or (label is None) != (attribute.of is AttributeOf.FRAME):
             continue
         value = values[attribute.name]
-        if label is not None and not attribute.is_of(label):
+        if is_gone:
+            yield number, repr(value)
+        elif label is not None and not attribute.is_of(label):
             yield number, f"{value!r} of a {label}"
         elif not attribute.fits(value):
             yield number, repr(value)

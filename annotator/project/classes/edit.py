@@ -23,8 +23,9 @@ from annotator.types.messages import alternatives, first_problem
 
 @dataclass(frozen=True)
 class ClassEdit:
-    """A change: the new configuration, and what happens to stored labels."""
+    """A change in words: the new configuration, and what happens to stored labels."""
 
+    words: str
     config: ProjectConfig
     change: Relabelling = field(default_factory=Relabelling)
 
@@ -33,13 +34,14 @@ def add_class(config: ProjectConfig, name: str, style: ClassStyle | None = None)
     """Adds a class at the end."""
     if name in config.classes:
         raise ConfigError(f"project {config.name} has the class {name!r} already")
-    return ClassEdit(_with(config, classes=(*config.classes, name), class_styles=_styled(config, name, style)))
+    new = _with(config, classes=(*config.classes, name), class_styles=_styled(config, name, style))
+    return ClassEdit(f"add the class {name}", new)
 
 
 def style_class(config: ProjectConfig, name: str, style: ClassStyle) -> ClassEdit:
     """Sets the colour and the key of a class."""
     require_class(config, name)
-    return ClassEdit(_with(config, class_styles=_styled(config, name, style)))
+    return ClassEdit(f"set the look of the class {name}", _with(config, class_styles=_styled(config, name, style)))
 
 
 def with_classes(config: ProjectConfig, names: Sequence[str]) -> ProjectConfig:
@@ -61,7 +63,7 @@ def order_classes(config: ProjectConfig, names: Sequence[str]) -> ClassEdit:
     """Orders the classes."""
     if sorted(names) != sorted(config.classes):
         raise ConfigError(f"the order must name each class once: {', '.join(config.classes)}")
-    return ClassEdit(_with(config, classes=tuple(names)))
+    return ClassEdit("order the classes", _with(config, classes=tuple(names)))
 
 
 def order_attributes(config: ProjectConfig, names: Sequence[str]) -> ClassEdit:
@@ -69,7 +71,7 @@ def order_attributes(config: ProjectConfig, names: Sequence[str]) -> ClassEdit:
     known = {each.name: each for each in config.attributes}
     if sorted(names) != sorted(known):
         raise ConfigError(f"the order must name each attribute once: {', '.join(known)}")
-    return ClassEdit(_with(config, attributes=tuple(known[name] for name in names)))
+    return ClassEdit("order the attributes", _with(config, attributes=tuple(known[name] for name in names)))
 
 
 def rename_class(config: ProjectConfig, old: str, new: str) -> ClassEdit:
@@ -80,27 +82,27 @@ def rename_class(config: ProjectConfig, old: str, new: str) -> ClassEdit:
             f"project {config.name} has the class {new!r} already; to give it the boxes of {old!r}, merge them: "
             f"annotator classes merge {config.name} {old} --into {new}"
         )
-    return _replaced(config, {old: new}, [new if name == old else name for name in config.classes])
+    classes = [new if name == old else name for name in config.classes]
+    return _replaced(f"rename the class {old} to {new}", config, {old: new}, classes)
 
 
 def merge_classes(config: ProjectConfig, old: Sequence[str], into: str) -> ClassEdit:
-    """Gives all boxes of some classes to another one, and removes these classes.
-
-    A name in `old` need not be a class: labels may have names that somebody has removed from `project.json`.
-    """
+    """Gives all boxes of some classes to another one, and removes these classes."""
     if not old:
         raise ConfigError(f"name the classes whose boxes {into!r} gets")
-    require_class(config, into)
+    for name in (*old, into):
+        require_class(config, name)
     if into in old:
         raise ConfigError(f"{into!r} cannot be merged into itself; name the other classes only")
-    return _replaced(config, dict.fromkeys(old, into), [name for name in config.classes if name not in old])
+    left = [name for name in config.classes if name not in old]
+    return _replaced(f"merge {', '.join(old)} into the class {into}", config, dict.fromkeys(old, into), left)
 
 
 def remove_class(config: ProjectConfig, name: str) -> ClassEdit:
     """Removes a class with its boxes."""
     require_class(config, name)
     new = with_classes(config, [label for label in config.classes if label != name])
-    return ClassEdit(new, Relabelling(removed=(name,)))
+    return ClassEdit(f"remove the class {name}", new, Relabelling(removed=(name,)))
 
 
 def put_attribute(config: ProjectConfig, attribute: Attribute, *, drop: bool = False) -> ClassEdit:
@@ -128,7 +130,9 @@ def put_attribute(config: ProjectConfig, attribute: Attribute, *, drop: bool = F
     fills = attribute.default is not None and attribute.of is not AttributeOf.FRAME and not is_other_look
     filled = (_filled(attribute),) if fills else ()
     change = Relabelling(filled=filled, fitted=(attribute,) if drop else ())
-    return ClassEdit(_with(config, attributes=tuple((known | {attribute.name: attribute}).values())), change)
+    words = f"{'add' if before is None else 'change'} the attribute {attribute.name}"
+    new = _with(config, attributes=tuple((known | {attribute.name: attribute}).values()))
+    return ClassEdit(words, new, change)
 
 
 def rename_attribute(config: ProjectConfig, old: str, new: str) -> ClassEdit:
@@ -137,14 +141,15 @@ def rename_attribute(config: ProjectConfig, old: str, new: str) -> ClassEdit:
     if any(each.name == new for each in config.attributes):
         raise ConfigError(f"project {config.name} has the attribute {new!r} already")
     renamed = [each.model_dump() | {"name": new} if each.name == old else each for each in config.attributes]
-    return ClassEdit(_with(config, attributes=renamed), Relabelling(attributes={old: new}))
+    words = f"rename the attribute {old} to {new}"
+    return ClassEdit(words, _with(config, attributes=renamed), Relabelling(attributes={old: new}))
 
 
 def remove_attribute(config: ProjectConfig, name: str) -> ClassEdit:
     """Removes an attribute with its values."""
     find_attribute(config, name)
     left = tuple(each for each in config.attributes if each.name != name)
-    return ClassEdit(_with(config, attributes=left), Relabelling(dropped=(name,)))
+    return ClassEdit(f"remove the attribute {name}", _with(config, attributes=left), Relabelling(dropped=(name,)))
 
 
 def rename_choice(config: ProjectConfig, name: str, old: str, new: str) -> ClassEdit:
@@ -156,7 +161,8 @@ def rename_choice(config: ProjectConfig, name: str, old: str, new: str) -> Class
     default = new if attribute.default == old else attribute.default
     changed = attribute.model_dump() | {"choices": choices, "default": default}
     attributes = [changed if each.name == name else each for each in config.attributes]
-    return ClassEdit(_with(config, attributes=attributes), Relabelling(choices={name: {old: new}}))
+    words = f"rename {old} of the attribute {name} to {new}"
+    return ClassEdit(words, _with(config, attributes=attributes), Relabelling(choices={name: {old: new}}))
 
 
 def find_attribute(config: ProjectConfig, name: str) -> Attribute:
@@ -173,7 +179,7 @@ def _filled(attribute: Attribute) -> Filled:
     return Filled(name=attribute.name, value=attribute.checked(attribute.default), classes=attribute.classes)
 
 
-def _replaced(config: ProjectConfig, names: dict[str, str], classes: Sequence[str]) -> ClassEdit:
+def _replaced(words: str, config: ProjectConfig, names: dict[str, str], classes: Sequence[str]) -> ClassEdit:
     styles: dict[str, ClassStyle] = {}
     for name, style in config.class_styles.items():
         if name not in names:
@@ -185,7 +191,7 @@ def _replaced(config: ProjectConfig, names: dict[str, str], classes: Sequence[st
         for each in config.attributes
     ]
     new = _with(config, classes=tuple(classes), class_styles=styles, attributes=tuple(attributes))
-    return ClassEdit(new, Relabelling(classes=names))
+    return ClassEdit(words, new, Relabelling(classes=names))
 
 
 def _styled(config: ProjectConfig, name: str, style: ClassStyle | None) -> dict[str, ClassStyle]:

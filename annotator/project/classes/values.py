@@ -68,20 +68,11 @@ def checked(attributes: Iterable[Attribute], values: Mapping[str, AttributeValue
         raise ProjectError(f"{what}: {error}") from error
 
 
-def is_same(a: AttributeValue, b: AttributeValue | None) -> bool:
-    """Whether values are equal, and of the same type: true is not 1."""
-    return type(a) is type(b) and a == b
-
-
 def of_tracks(
-    connection: Connection,
-    terms: Terms,
-    attributes: Sequence[Attribute],
-    frame_id: int | None,
-    tracks: Collection[int | None],
+    connection: Connection, terms: Terms, frame_id: int | None, tracks: Collection[int | None]
 ) -> dict[int | None, Values]:
     """Values of tracks in a frame's rig, by track id: of each attribute that of its first label with a value."""
-    names = {each.name for each in attributes if each.of is AttributeOf.TRACK}
+    names = {each.name for each in terms.attributes if each.of is AttributeOf.TRACK}
     known = {track for track in tracks if track is not None}
     found: dict[int | None, Values] = defaultdict(dict)
     if not names or not known:
@@ -106,7 +97,7 @@ def labels_of_tracks(frame_id: int | None, tracks: Collection[int]) -> Select[An
     ).order_by(labels.c.id)
 
 
-def is_kept(row: Mapping[str, Any], terms: Terms, attributes: Sequence[Attribute]) -> bool:
+def is_kept(row: Mapping[str, Any], terms: Terms) -> bool:
     """Whether no pass and no import replaces a proposal, because a person has set values that a new one would not have.
 
     Values that follow from those of another label of the track do not count: whoever sets the colour of a car does not
@@ -117,9 +108,8 @@ def is_kept(row: Mapping[str, Any], terms: Terms, attributes: Sequence[Attribute
     if row["said"] is not None:
         return values_of(row["attributes"]) != terms.said(row["said"], None).given
     label = terms.names[row["class_id"]]
-    return values_of(row["attributes"]) != {
-        each.name: each.default for each in attributes if each.is_of(label) and each.default is not None
-    }
+    defaults = {each.name: each.default for each in terms.attributes_of(label) if each.default is not None}
+    return values_of(row["attributes"]) != defaults
 
 
 class ValueReader:

@@ -17,9 +17,9 @@ from annotator.types.errors import RESTORE
 Migration = tuple[str, ...]
 """The statements of one migration, in order."""
 
-APPLICATION_ID = 0x416E6E50  # "AnnP": distinguishes project databases from other SQLite files
-# "Anno" and "Annt": databases from before the first release.
-_UNRELEASED_IDS = (0x416E6E6F, 0x416E6E74)
+APPLICATION_ID = 0x416E6E51  # "AnnQ": distinguishes project databases from other SQLite files
+# "Anno", "Annt" and "AnnP": databases from before the first release.
+_UNRELEASED_IDS = (0x416E6E6F, 0x416E6E74, 0x416E6E50)
 
 UNRELEASED = (
     "belongs to a project from before the first release of annotator, which this version cannot read; export its "
@@ -143,7 +143,8 @@ CREATE TABLE recordings (
 # cloud: the name of a cloud that several cameras may share; NULL = this camera alone has it. pose: T_cloud_recorded, a
 # matrix of 4 x 4 as JSON, from the frame of the camera (without corrections) to that of the cloud, in which the boxes
 # of the moment are stored; NULL = they are the same. position: index in the latest scan; NULL if that scan did not find
-# the frame. revision: the same for all frames of a moment. attributes: values, as JSON.
+# the frame. revision: the same for all frames of a moment. attributes: values, as JSON. run_id: the batch run whose
+# proposals it has.
 _FRAMES = """
 CREATE TABLE frames (
     id INTEGER PRIMARY KEY,
@@ -156,26 +157,26 @@ CREATE TABLE frames (
     revision INTEGER NOT NULL,
     finalised BOOLEAN NOT NULL CHECK (finalised IN (0, 1)),
     attributes TEXT,
+    run_id INTEGER REFERENCES runs (id),
     UNIQUE (recording_id, "key")
 )
 """
-# Merged classes have the same name.
-_CLASSES = "CREATE TABLE classes (id INTEGER PRIMARY KEY, name TEXT NOT NULL)"
-# What changes of the classes do to values, as JSON. event_id: the newest event before. config: SHA-256 of the
-# `project.json` that goes with it.
-_CLASS_CHANGES = """
-CREATE TABLE class_changes (
-    id INTEGER PRIMARY KEY AUTOINCREMENT,
-    event_id INTEGER NOT NULL,
-    author TEXT NOT NULL CHECK (author <> ''),
-    time_ns INTEGER NOT NULL,
-    content TEXT NOT NULL,
-    config TEXT NOT NULL
+# position: in the order of the project's classes; NULL = a removed class, or one that was merged, which has the name of
+# the other. shortcut: the key that selects it on the page.
+_CLASSES = """
+CREATE TABLE classes (
+    id INTEGER PRIMARY KEY,
+    name TEXT NOT NULL,
+    position INTEGER,
+    colour TEXT,
+    shortcut TEXT
 )
 """
+# content: the definition without the name, as JSON; its classes by their ids.
+_ATTRIBUTES = "CREATE TABLE attributes (name TEXT PRIMARY KEY, position INTEGER NOT NULL, content TEXT NOT NULL)"
 # rows: JSON; long ones are packed (`PackedText` in schema.py). action: id of the operator's step that it is a part of.
 # undoes: the action that it reverts; for a redo, the action of the undo. subject: the label or draft that the effort
-# (actions: drags, clicks, keys; seconds) was for, or the source of imported boxes.
+# (actions: drags, clicks, keys; seconds) was for, the source of imported boxes, or a change of the classes in words.
 _EVENTS = """
 CREATE TABLE events (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -277,12 +278,12 @@ CREATE TABLE adjustments (
     event_id INTEGER NOT NULL REFERENCES events (id)
 )
 """
-# The latest automatic pass over a frame: all proposals with their traces, and the objects that were lost, as JSON.
+# What the latest automatic pass over a frame has found, also where a reviewed label covers it, as JSON: lists of the id
+# of the class, the score, and the box in the frame of the cloud.
 _PASSES = """
 CREATE TABLE passes (
     frame_id INTEGER PRIMARY KEY REFERENCES frames (id),
     event_id INTEGER NOT NULL REFERENCES events (id),
-    run_id INTEGER REFERENCES runs (id),
     content PACKED_TEXT NOT NULL
 )
 """
@@ -348,6 +349,7 @@ _INDEXES = (
     "CREATE UNIQUE INDEX events_of_view ON events (view_id, revision) WHERE frame_id IS NULL",
     "CREATE INDEX events_of_action ON events (action) WHERE action IS NOT NULL",
     "CREATE INDEX actions_of_author ON events (author, id) WHERE action IS NOT NULL",
+    "CREATE INDEX undone_actions ON events (undoes) WHERE undoes IS NOT NULL",
     "CREATE INDEX adjusting_events ON events (id) WHERE kind = 'recording_adjusted'",
     "CREATE INDEX labels_of_frame ON labels (frame_id, state, hidden, behind)",
     "CREATE INDEX labels_of_moment ON labels (moment_id)",
@@ -367,7 +369,7 @@ MIGRATIONS: tuple[Migration, ...] = (
         _RECORDINGS,
         _FRAMES,
         _CLASSES,
-        _CLASS_CHANGES,
+        _ATTRIBUTES,
         _EVENTS,
         _LABELS,
         _IMAGE_LABELS,
@@ -381,7 +383,6 @@ MIGRATIONS: tuple[Migration, ...] = (
         _FRAME_RESULTS,
         _MODELS,
         *_append_only("events"),
-        *_append_only("class_changes"),
         *_INDEXES,
     ),
 )

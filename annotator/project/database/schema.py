@@ -1,6 +1,6 @@
 """The tables of a project, read from what the migrations make; they are the truth.
 
-What people change lies in six tables. One door (`audit/`) writes a changed row, and with it a row of `events`, the
+What people change lies in seven tables. One door (`audit/`) writes a changed row, and with it a row of `events`, the
 audit: who, when, in which action, from which source, at which revision of the frame; and each changed row as
 `[table, key, before, after]`. Of an updated row, `before` and `after` have the columns that differ; null is no row.
 
@@ -10,15 +10,16 @@ audit: who, when, in which action, from which source, at which revision of the f
   each source says of an object is a row; those `behind` the one that is shown belong to it.
 - `image_labels` (`frame_id`), `view_labels` (`key`): 2D boxes on camera images and on pseudo-views. In their JSON,
   too, a class is its id (as a text), and the geometry of a view lies in the frame of the cloud.
-- `frames` (`id`): only `finalised` and `attributes` are audited; `revision` counts the changes, and the scans of a
-  recording change the rest.
-- `classes` (`id`): their names. To rename a class or to merge two is a change here.
+- `frames` (`id`): only `finalised`, `attributes` and `run_id` are audited; `revision` counts the changes, and the scans
+  of a recording change the rest.
+- `classes` (`id`), `attributes` (`name`): names, order, looks and definitions. To rename a class or to merge two is a
+  change here, and touches no label.
 - `adjustments` (`recording_id`): up direction and calibration of a recording.
 
 So undo is generic: where the present columns equal `after`, put `before`. And the audit, replayed from its beginning,
 gives these tables. Labels and boxes of a removed recording have `hidden` set. Queries read the views `shown_...`, which
 leave them and the boxes behind others out, and give classes by name. The other tables (recordings, runs, results,
-models, the traces of the latest pass over a frame, changes of the classes) have no undo.
+models, what the latest pass over a frame has found) have no undo.
 """
 
 from __future__ import annotations
@@ -103,7 +104,6 @@ _FOUND = _tables().tables
 recordings = _FOUND["recordings"]
 frames = _FOUND["frames"]
 classes = _FOUND["classes"]
-class_changes = _FOUND["class_changes"]
 events = _FOUND["events"]
 adjustments = _FOUND["adjustments"]
 passes = _FOUND["passes"]
@@ -118,6 +118,7 @@ ALL_LABELS = _FOUND["labels"]
 
 AUDITED = {
     "classes": "id",
+    "attributes": "name",
     "labels": "uid",
     "image_labels": "frame_id",
     "view_labels": "key",

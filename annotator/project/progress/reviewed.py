@@ -151,7 +151,9 @@ def read_log(connection: Connection) -> ActionLog:
     log = ActionLog()
     # nobody has decided about imported proposals
     query = select(*without_rows(events.c.kind == IMPORTED)).where(events.c.action.is_not(None))
-    for row in connection.execute(query.where(events.c.frame_id.is_not(None)).order_by(events.c.id)):
+    # a pass is no work of an operator
+    query = query.where(events.c.frame_id.is_not(None), events.c.source != Source.AUTO.value)
+    for row in connection.execute(query.order_by(events.c.id)):
         log.add(event_of(row))
     return log
 

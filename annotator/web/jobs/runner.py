@@ -26,7 +26,6 @@ from annotator.types.errors import ConfigError, InUseError, NotFoundError
 from annotator.web.errors import INTERNAL
 from annotator.web.jobs.records import (
     HEAVY,
-    LIFT_STAGE,
     PAUSE,
     SERVER_STOPPED,
     STOP,
@@ -204,14 +203,6 @@ class JobRunner:
             for other in self._background() if task.is_heavy and not job.background else []:
                 self._stop(other, "aside")
         return job
-
-    def stores_boxes(self, project: str, operator: str) -> bool:
-        """True while a job stores the 2D boxes of a file as an action of this operator."""
-        return any(
-            (job.project, job.operator, job.kind, job.state) == (project, operator, "boxes", JobState.RUNNING)
-            and job.stage != LIFT_STAGE
-            for job in self.all()
-        )
 
     def is_idle(self) -> bool:
         return all(job.state.ended for job in self.all())

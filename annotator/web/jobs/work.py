@@ -145,6 +145,7 @@ def propose_work(job: JobContext, request: ProposeRequest) -> Outcome:
             config,
             recordings=request.recordings,
             limit=request.limit,
+            author=job.operator,
             progress=job.counter("propose boxes"),
         )
     return _proposed(done)
@@ -154,7 +155,7 @@ def lift_work(job: JobContext, request: LiftRequest) -> Outcome:
     """Proposes 3D boxes from the 2D boxes on the images, without any training."""
     job.progress("load the view detector")
     boxes, view = drawn_boxes(job.project, only_without_labels=True), require_view(job.project)
-    done = lift(job.project, boxes, view, rcv_config(job.project), job.counter(LIFT_STAGE))
+    done = lift(job.project, boxes, view, rcv_config(job.project), job.counter(LIFT_STAGE), job.operator)
     return _proposed(done, f", measured by: {view.title}")
 
 
@@ -174,6 +175,7 @@ def boxes_work(job: JobContext, request: BoxesRequest) -> Outcome:
         require_known(view, {box.label for boxes in given.of_frame.values() for box in boxes})
     if request.add_attributes:
         add_attributes(project, values_of_pictures(upload.format, upload.path), job.operator)
+    action = new_action()
     done = import_image_boxes(
         project,
         upload.path,
@@ -181,15 +183,14 @@ def boxes_work(job: JobContext, request: BoxesRequest) -> Outcome:
         recording,
         upload.format,
         request.names,
-        Importer(job.operator, new_action()),
+        Importer(job.operator, action),
         job.counter("store the 2D boxes"),
     )
     outcome = _imported(done)
     if view is not None:
-        # from here on, the import can be undone
         job.progress(LIFT_STAGE)
         lifted = _proposed(
-            lift(project, given, view, rcv_config(project), job.counter(LIFT_STAGE)),
+            lift(project, given, view, rcv_config(project), job.counter(LIFT_STAGE), job.operator, action),
             f", measured by: {view.title}",
         )
         outcome = Outcome(f"{outcome.message}; {lifted.message}", outcome.result | lifted.result)

@@ -149,10 +149,13 @@ class StepIn(WithEffort):
 
 
 class StepOut(Schema):
-    """The undone or redone action (`done`, in words), its frame, and the frame's present state."""
+    """The undone or redone action (`done`, in words), its frame, and the frame's present state.
 
-    frame: int
-    state: FrameStateJson
+    A change of the classes has no frame.
+    """
+
+    frame: int | None
+    state: FrameStateJson | None
     done: str
 
 
@@ -192,7 +195,7 @@ def changes(at: AtFrame, body: ChangesIn) -> JSONResponse:
 def undo(at: AtProject, body: StepIn) -> StepOut:
     """Undo the operator's last action, on whichever frame. A run that follows objects is stopped first.
 
-    Refused while 2D boxes of a file are being stored for this operator.
+    A job that is undone while it stores boxes ends.
     """
     return _step(at, body, History.undo)
 
@@ -205,21 +208,20 @@ def redo(at: AtProject, body: StepIn) -> StepOut:
 
 def _step(at: InProject, body: StepIn, method: Callable[..., Reverted]) -> StepOut:
     ctx, project, operator = at.ctx, at.project, at.operator
-    if ctx.jobs.stores_boxes(at.name, operator):
-        # the import is one action: what it stores after its undo could not be undone
-        raise HistoryError("your import of boxes is still running; stop it or wait, then undo it as a whole")
     ctx.follow_runs.stop(project, operator)
     try:
         reverted = method(project.history, operator, skip=body.skip, effort=body.stored_effort())
     except HistoryError as error:
-        if error.frame_id is None:
+        if not error.can_skip:
             raise
-        present = InFrame(ctx, at.name, operator, error.frame_id).state().model_dump(mode="json")
+        present = None  # of a change of the classes
+        if error.frame_id is not None:
+            present = InFrame(ctx, at.name, operator, error.frame_id).state().model_dump(mode="json")
         answer = error_response("HistoryError", str(error), 409, frame=error.frame_id, state=present)
         raise AnsweredError(answer) from error
     ctx.follow_runs.forget(project, operator, reverted.original)
     at.announce()
-    state = InFrame(ctx, at.name, operator, reverted.frame_id).state()
+    state = None if reverted.frame_id is None else InFrame(ctx, at.name, operator, reverted.frame_id).state()
     return StepOut.model_construct(frame=reverted.frame_id, state=state, done=reverted.words)
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import logging
 import shlex
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter
@@ -24,12 +25,11 @@ from annotator.project import (
     list_projects,
 )
 from annotator.project.classes import edit
-from annotator.project.classes.attributes import Attribute, ClassStyle, Value
+from annotator.project.classes.attributes import Attribute, ClassStyle, Relabelling, Value
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.config import rename_project, set_aside
 from annotator.project.database.store import waiting_at_most
 from annotator.project.overview import ClassList, list_classes
-from annotator.project.project import change_classes
 from annotator.types import DetectorKind
 from annotator.types.errors import AnnotatorError, ConfigError
 from annotator.types.messages import first_problem
@@ -113,17 +113,16 @@ def summary(ctx: Context, listed: ListedProject) -> ProjectSummary:
     """The summary of a project in a projects folder; for one that cannot be opened, with its problem."""
     # a name that is not text in UTF-8 cannot be sent
     name = listed.path.name.encode(errors="replace").decode()
-    classes = [] if listed.config is None else list(listed.config.classes)
     try:
         if listed.problem is not None:
-            return _broken(name, classes, ctx.public_message(listed.problem))
+            return _broken(name, ctx.public_message(listed.problem))
         with waiting_at_most(LIST_WAIT_S):
             return summary_of(name, ctx.project(name))
     except AnnotatorError as error:
-        return _broken(name, classes, ctx.public_message(str(error)))
+        return _broken(name, ctx.public_message(str(error)))
     except Exception:  # one project must not take the list of all down
         LOG.exception("project %s cannot be listed", name)
-        return _broken(name, classes, f"the project cannot be read: {INTERNAL}")
+        return _broken(name, f"the project cannot be read: {INTERNAL}")
 
 
 def summary_of(name: str, project: Project) -> ProjectSummary:
@@ -175,8 +174,8 @@ def _detector(project: Project, role: DetectorKind) -> ModelInfo | None:
     return None if model is None else model_info(model)
 
 
-def _broken(name: str, classes: list[str], problem: str) -> ProjectSummary:
-    return ProjectSummary(name=name, classes=classes, frames=0, recordings=0, labels_by_state={}, problem=problem)
+def _broken(name: str, problem: str) -> ProjectSummary:
+    return ProjectSummary(name=name, classes=[], frames=0, recordings=0, labels_by_state={}, problem=problem)
 
 
 router = APIRouter(tags=["projects"])
@@ -324,7 +323,7 @@ class Remove(Schema):
         if self.do == "remove_attribute":
             return edit.remove_attribute(config, self.name)
         made = edit.remove_class(config, self.name)
-        return made if self.with_boxes else ClassEdit(made.config)
+        return made if self.with_boxes else replace(made, change=Relabelling())
 
 
 class Order(Schema):
@@ -386,9 +385,9 @@ def classes(at: AtProject) -> ClassList:
 
 @router.post("/api/projects/{name}/classes")
 def change_classes_of(at: AtProject, body: ClassChange) -> ProjectInfo:
-    """Change the classes or attributes; labels follow. What no other change brings back is backed up before."""
+    """Change the classes or attributes; labels follow. One undo step."""
     try:
-        change_classes(at.project, body.change.edit, at.operator)
+        at.project.change_classes(body.change.edit, at.operator)
     except ValidationError as error:
         raise ConfigError(first_problem(error)) from error
     return project_info(at)

@@ -274,9 +274,7 @@ def store(
         frame, result = frames[recorded.key], recorded.result
         context = WriteContext(frame.revision, AUTHOR, Source.AUTO)
         share = RunShare(run.id, recorded.seconds)
-        project.proposals.replace(
-            frame.id, result.proposals, context, lost=result.lost, run=share, box_kind=detectors.box_kind
-        )
+        project.proposals.replace(frame.id, result.proposals, context, run=share, box_kind=detectors.box_kind)
         proposals += len(result.proposals)
     project.jobs.finish(run.id)
     return Stored(stored.name, len(frames), proposals)

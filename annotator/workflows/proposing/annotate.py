@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 
-from annotator.project import StoredRecording
+from annotator.project import StoredRecording, new_action
 from annotator.project.audit.writing import WriteContext
 from annotator.project.config import BoxRotation
 from annotator.project.frames import StoredFrame
@@ -23,14 +23,14 @@ from annotator.project.proposals import RunShare
 from annotator.rcv.config import REVISION, RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.types import BoxKind, Source
-from annotator.types.errors import ConfigError, FinalisedFrameError, ProjectError, StaleRevisionError
+from annotator.types.errors import ConfigError, FinalisedFrameError, HistoryError, ProjectError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.runner import Engine, InlineEngine, failure
 from annotator.workflows.proposing.tasks import FrameAnswer, FrameSpec, GivenDetectors, Task, pickle_exactly
 from annotator.workflows.recorded.adjusting import learn_up
 from annotator.workflows.tracks.propose_boxes import followed_tracks, seeds_of
 
-AUTHOR = "rcv"
+AUTHOR = "rcv"  # of proposals
 # Attempts to write a frame that is changed concurrently.
 WRITE_ATTEMPTS = 5
 
@@ -63,12 +63,18 @@ class AnnotateSummary:
 
 @dataclass(eq=False)
 class Batch:
-    """A batch and its access to the store; `box_kind`: what the proposed boxes enclose."""
+    """A batch, which is one action of its author, and its access to the store.
+
+    Attributes:
+        box_kind: what the proposed boxes enclose.
+    """
 
     project: Project
     run: Run
     summary: AnnotateSummary
     box_kind: BoxKind
+    author: str = AUTHOR
+    action: str = field(default_factory=new_action)
     recordings: dict[int, StoredRecording] = field(default_factory=dict)
 
     def recording(self, recording_id: int) -> StoredRecording:
@@ -90,6 +96,8 @@ class Batch:
             self.summary.skipped += 1
             self.summary.frames -= 1
             return
+        except HistoryError:  # undone since
+            raise
         except Exception as error:
             self._fail(frame, failure(error, answer.seconds))
             return
@@ -101,17 +109,17 @@ class Batch:
         for attempt in range(1, WRITE_ATTEMPTS + 1):
             frame, proposals = self.project.frames.get(frame_id), result.proposals
             self._require_unadjusted(frame.recording_id)
-            context = WriteContext(frame.revision, AUTHOR, Source.AUTO)
+            context = WriteContext(frame.revision, self.author, Source.AUTO, maker=AUTHOR)
             tracks = followed_tracks(self.project, frame, proposals)
             try:
                 self.project.proposals.replace(
                     frame_id,
                     proposals,
                     context,
-                    lost=result.lost,
                     run=share,
                     track_ids=tracks,
                     box_kind=self.box_kind,
+                    action=self.action,
                 )
                 return
             except StaleRevisionError:
@@ -165,9 +173,10 @@ def annotate_with(
     rotation: BoxRotation | None = None,
     limit: int | None = None,
     from_reviewed: bool = False,
+    author: str = AUTHOR,
     progress: Progress | None = None,
 ) -> AnnotateSummary:
-    """Proposes boxes for every frame that was not annotated with these detectors and settings before.
+    """Proposes boxes for every frame that was not annotated with these detectors and settings before: one action.
 
     A failed frame is stored with the reason, and tried again by the next call; the others continue. Each frame is
     committed at once, so an interrupted call loses only the tasks in flight.
@@ -182,6 +191,7 @@ def annotate_with(
         rotation: None = the project's setting.
         from_reviewed: if the previous frame is reviewed when a frame's task is made, the recursion starts from its
             boxes. Frames annotated with and without this setting count as different.
+        author: who can undo it.
         progress: called after each stored task, and at intervals in between.
     """
     require_limit(limit)
@@ -200,7 +210,7 @@ def annotate_with(
         pending = project.jobs.pending(run.key, recordings)
         frames, skipped = pending[:limit], project.frames.count_present(recordings) - len(pending)
         summary = AnnotateSummary(frames=len(frames), skipped=skipped, backends=identity.backends, learned=learned)
-        batch = Batch(project, run, summary, config.box_kind)
+        batch = Batch(project, run, summary, config.box_kind, author)
         _run_tasks(engine, _tasks(batch, frames, config, rotation, from_reviewed), batch, progress)
     except BaseException:
         engine.close()

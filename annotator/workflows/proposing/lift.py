@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from annotator.formats.table import FlatFormat
-from annotator.project import Project
+from annotator.project import Project, new_action
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import REVISION, Orientation, RcvConfig
 from annotator.rcv.finish import FrameProposals
@@ -27,7 +27,7 @@ from annotator.workflows.detectors import LIFTED_FROM
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.importing.pictures import checked_images, read_pictures
 from annotator.workflows.importing.report import Become, ImportReport, Note
-from annotator.workflows.proposing.annotate import AnnotateSummary, Batch
+from annotator.workflows.proposing.annotate import AUTHOR, AnnotateSummary, Batch
 from annotator.workflows.proposing.runner import failure
 from annotator.workflows.proposing.tasks import FrameAnswer
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
@@ -174,13 +174,17 @@ def lift(
     view: ReadyDetector,
     config: RcvConfig,
     progress: Progress | None = None,
+    author: str = AUTHOR,
+    action: str | None = None,
 ) -> AnnotateSummary:
-    """Proposes 3D boxes for the objects in 2D boxes; unreviewed proposals of the same frames are replaced.
+    """Proposes 3D boxes for the objects in 2D boxes; unreviewed proposals of the same frames are replaced. One action.
 
     A frame that fails is stored with the reason, and the others continue. Finalised frames stay as they are.
 
     Args:
         view: the project's view detector or the base detector.
+        author: who can undo it.
+        action: id of an action (`new_action`) that it is a part of; None = one of its own.
     """
     begin = time.perf_counter()
     require_known(view, {box.label for given in boxes.of_frame.values() for box in given})
@@ -196,7 +200,7 @@ def lift(
     run = project.jobs.start(
         image_detector=fingerprint, view_detector=view.fingerprint, config_json=json.dumps(settings)
     )
-    batch = Batch(project, run, AnnotateSummary(frames=len(frames)), config.box_kind)
+    batch = Batch(project, run, AnnotateSummary(frames=len(frames)), config.box_kind, author, action or new_action())
     source = FrameSource(project)
     for done, stored in enumerate(frames, start=1):
         started = time.perf_counter()

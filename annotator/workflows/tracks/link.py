@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from annotator.project import REVIEWED, FramePart, Project, StoredFrame, StoredLabel, WriteContext
+from annotator.project import REVIEWED, FramePart, Project, StoredFrame, StoredLabel, WriteContext, new_action
 from annotator.project.changes import LinkedLabel, TracksLinked
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.records import BoxRecord
@@ -146,9 +146,10 @@ class _Recording:
                 context = WriteContext(frame.revision, AUTHOR, Source.AUTO)
                 parts.append(FramePart(frame.id, [TracksLinked(labels=changed)], context))
                 counts.append(len(changed))
+        action = new_action()
         for first in range(0, len(parts), FRAMES_PER_WRITE):
             try:
-                self.project.log.append_to_frames(parts[first : first + FRAMES_PER_WRITE])
+                self.project.log.append_to_frames(parts[first : first + FRAMES_PER_WRITE], action)
             except (StaleRevisionError, FinalisedFrameError):
                 return False
             summary.changed += sum(counts[first : first + FRAMES_PER_WRITE])

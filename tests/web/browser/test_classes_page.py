@@ -54,7 +54,7 @@ def test_classes_are_changed_in_a_dialog_of_the_start_page(room: Project, start:
     expect(page.get_by_test_id("ask-classes")).to_contain_text("No box is of this class")
     page.get_by_test_id("dialog-cancel").click()
     row(page, "human").get_by_role("button", name="Merge").click()
-    expect(page.get_by_test_id("ask-classes")).to_contain_text("Undo does not bring this back")
+    expect(page.get_by_test_id("ask-classes")).to_contain_text("Undo (Ctrl+Z) takes it back")
     page.get_by_test_id("dialog-apply").click()
     expect(page.get_by_test_id("class-row")).to_have_count(1)
     assert room.config.classes == ("dog",)
@@ -119,6 +119,11 @@ def test_attributes_are_defined_in_label_and_set_there_with_one_key(bench: Bench
     form.get_by_test_id("dialog-save").click()
     expect(form).to_have_count(0)
     assert dict(bench.labels[0].attributes) == {}
+    page.get_by_test_id("classes-dialog").get_by_test_id("dialog-done").click()
+    page.keyboard.press("Control+z")
+    expect(page.get_by_text("Undone: change the attribute pose")).to_be_visible()
+    wait_for(lambda: dict(bench.labels[0].attributes) == {"pose": "sitting"})
+    expect(page.get_by_test_id("attribute-pose").locator("option:checked")).to_have_text("sitting")
 
 
 def test_open_pages_show_changed_classes_and_keep_unsaved_work(desk: Desk, wait_for) -> None:

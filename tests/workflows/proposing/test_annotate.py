@@ -6,6 +6,7 @@ import dataclasses
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -13,10 +14,11 @@ import pytest
 
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.project import BoxRotation, NewLabel, Project, Status, WriteContext
+from annotator.project.proposals import Proposals, Replaced
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
-from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, Frame, Image, ReviewState, Source
-from annotator.types.errors import ConfigError, ProjectError
+from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, Frame, Image, Proposal, ReviewState, Source
+from annotator.types.errors import ConfigError, HistoryError, ProjectError
 from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.annotate import TASK_FRAMES, WRITE_ATTEMPTS, annotate, annotate_with
@@ -117,6 +119,37 @@ def test_other_settings_or_detectors_process_all_frames_again(
     assert (again.done, again.skipped) == (2, 0)
     first = people.frames.of()[0]
     assert len(people.labels.of_frame(first.id)) == 3, "new proposals in place of the old ones"
+
+
+def test_a_batch_is_one_action_of_who_started_it(people: Project, knowing: Knowing) -> None:
+    def batch(config: RcvConfig, limit: int) -> tuple[int, int]:
+        engine = InlineEngine(GivenDetectors(knowing("people")))
+        done = annotate_with(people, engine, config, limit=limit, author="ann")
+        return done.done, done.skipped
+
+    def proposals() -> set[tuple[int, str]]:
+        return {(stored.frame_id, stored.label.uid) for stored in people.labels.select()}
+
+    other = FAST.model_copy(update={"max_steps": 2})
+    assert batch(FAST, 2) == (2, 0)
+    first = proposals()
+    assert batch(other, 3) == (3, 0)
+    second = proposals()
+    assert people.history.undo("ann").words == "propose boxes (frames 000000 to 000002)"
+    assert proposals() == first
+    # what the frames were processed with comes back, too
+    assert {frame.key for frame in people.jobs.pending(people.jobs.all()[0].key)} == {"000002", "000003", "000004"}
+    people.history.redo("ann")
+    assert proposals() == second
+    assert batch(other, 1) == (1, 3)
+
+
+def test_a_batch_that_is_undone_meanwhile_ends(people: Project, knowing: Knowing) -> None:
+    inner = knowing("people")
+    detectors = Wrapped(inner, key="000004", act=lambda: people.history.undo("rcv")).pair(inner)
+    with pytest.raises(HistoryError, match="it was undone while it was running"):
+        annotate(people, detectors, FAST)
+    assert (people.labels.select(), len(people.jobs.results())) == ((), TASK_FRAMES)
 
 
 def test_the_rotation_is_the_projects_unless_given(hands: Project, knowing: Knowing) -> None:
@@ -220,7 +253,16 @@ def test_frames_without_proposals_are_counted(people: Project, knowing: Knowing)
     assert keys(people, Status.DONE) == [f"{n:06d}" for n in range(5)]
 
 
-def test_frames_start_from_the_previous_frames_reviewed_boxes_on_request(people: Project, knowing: Knowing) -> None:
+def test_frames_start_from_the_previous_frames_reviewed_boxes_on_request(
+    people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    warm, replace = dict[int, int](), Proposals.replace
+
+    def counted(self: Proposals, frame_id: int, proposals: Sequence[Proposal], *args: Any, **options: Any) -> Replaced:
+        warm[frame_id] = sum("warm start" in repr(each.trace) for each in proposals)
+        return replace(self, frame_id, proposals, *args, **options)
+
+    monkeypatch.setattr(Proposals, "replace", counted)
     recording = open_recording(people.recordings.all()[0].path)
     truths = load_truth(recording, 0, recording.frame(0))
     first, second = people.frames.of()[:2]
@@ -229,10 +271,7 @@ def test_frames_start_from_the_previous_frames_reviewed_boxes_on_request(people:
     told = {}
     for from_reviewed in (False, True, True):
         done = annotate_with(people, engine, FAST, limit=2, from_reviewed=from_reviewed)
-        told[from_reviewed] = [
-            sum("warm start" in repr(o.proposal.trace) for o in people.proposals.latest(frame.id).objects)
-            for frame in (first, second)
-        ]
+        told[from_reviewed] = [warm[frame.id] for frame in (first, second)]
         assert done.skipped == (2 if len(people.jobs.all()) == 3 else 0), "processed again once, and then skipped"
     assert told[False] == [0, 0]
     assert told[True][0] == 0 and told[True][1] > 0

@@ -217,7 +217,7 @@ def test_each_drag_is_stored_and_the_fifth_creates_the_label(desk: Desk) -> None
     assert [view.step for view in views] == [0, 0, 1, 1]
     assert [view.boxes for view in views] == [(box,) for box in four]
     assert all(view.box_kind is BoxKind.SILHOUETTE for view in views)
-    targets = {event.effort_target for event in desk.project.log.since()}
+    targets = {event.effort_target for event in desk.project.log.of_frame(desk.frame_id)}
     assert targets == {draft_id(desk.frame_id, image_box)}
     numbers = desk.project.statistics().effort
     assert (numbers.boxes, numbers.actions_a_box, numbers.seconds_a_box) == (1, 5.0, 10.0)

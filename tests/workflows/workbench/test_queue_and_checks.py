@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -204,15 +203,11 @@ def found(project: Project) -> list[tuple[str, str]]:
 
 
 def change_attribute(project: Project, name: str, /, **changed: object) -> None:
-    """Changes an attribute as an editor of project.json would."""
-    path = project.path / "project.json"
-    config = json.loads(path.read_text())
-    (attribute,) = (each for each in config["attributes"] if each["name"] == name)
-    attribute.update(changed)
-    path.write_text(json.dumps(config))
+    (attribute,) = (each for each in project.config.attributes if each.name == name)
+    put(project, attribute.model_copy(update=changed))
 
 
-def test_missing_unfitting_and_contradicting_values_are_reported(tmp_path: Path) -> None:
+def test_missing_and_contradicting_values_are_reported(tmp_path: Path) -> None:
     box = OrientedBox.from_parts(np.zeros(3), np.eye(3), np.ones(3))
     with create_project(tmp_path, "p", ["car"]) as project:
         project.recordings.add(tmp_path / "r", "rgbd", "r", ["a", "b", "c"], True)
@@ -235,14 +230,12 @@ def test_missing_unfitting_and_contradicting_values_are_reported(tmp_path: Path)
         # one label of the track has another value, since it was in another track before
         project.labels.edit(c, uids[2], WriteContext(4, "ann"), label="car", box=box)
         project.labels.set_attributes(c, uids[2], {"colour": "blue"}, WriteContext(5, "ann"))
-        path = project.path / "project.json"
-        path.write_text(path.read_text().replace('"doors"', '"wheels"'))
+        put(project, Attribute(name="wheels", kind=AttributeKind.INTEGER, required=True))
         with project.store.write() as connection:
             connection.exec_driver_sql("UPDATE labels SET track_id = 1")
         lines = [line for key, line in found(project) if key == "c"]
         assert lines == [
             "this car has no value of wheels, which is required",
-            "this car has the value doors = 5, but the project has no attribute doors for car",
             "colour of track 1 is mostly red, but blue here",
         ]
         assert project.statistics().attributes == {

@@ -3,9 +3,7 @@
 import { openDialog } from "../dialogs.js";
 import { count, h } from "../dom.js";
 
-const ONLY_BACKUP =
-  "Undo does not bring this back. The server makes a backup just before: .backups/PROJECT/TIME-before-classes.zip " +
-  "in the folder of projects. `annotator project restore FILE OTHER` makes a second project of it.";
+const UNDO = "Undo (Ctrl+Z) takes it back.";
 
 /** The boxes of a class in words. */
 export function boxesOf(/** @type {Api.ClassRow} */ { labels, boxes_2d, said }) {
@@ -75,8 +73,8 @@ export function askRename(
       content: [
         choices.length ? h("label", { class: "field" }, h("span", {}, "What"), part) : null,
         h("label", { class: "field" }, h("span", {}, "New name"), input),
-        h("p", { class: "help" }, `${follow}. To take it back, rename it back.`),
-        choices.length ? h("p", { class: "help" }, `The name of another choice merges both. ${ONLY_BACKUP}`) : null,
+        h("p", { class: "help" }, `${follow}. ${UNDO}`),
+        choices.length ? h("p", { class: "help" }, "The name of another choice merges both.") : null,
       ].filter((node) => node !== null),
       action: "Rename",
     },
@@ -104,7 +102,7 @@ export function askMerge(
       content: [
         into.root,
         h("p", {}, `The other class gets ${boxesOf(row)}, and ${row.name} is removed.`),
-        h("p", { class: "help" }, ONLY_BACKUP),
+        h("p", { class: "help" }, UNDO),
       ],
       action: "Merge",
     },
@@ -117,11 +115,11 @@ export function askRemove(/** @type {Api.ClassRow} */ row, /** @type {ChangeClas
   const isUsed = row.labels + row.boxes_2d + row.said > 0;
   const text = isUsed
     ? `Deletes ${boxesOf(row)}, too. "Merge" gives them to another class instead.`
-    : "No box is of this class. To take it back, add it again.";
+    : "No box is of this class.";
   return ask(
     {
       title: `Remove ${row.name}`,
-      content: [h("p", {}, text), ...(isUsed ? [h("p", { class: "help" }, ONLY_BACKUP)] : [])],
+      content: [h("p", {}, text), h("p", { class: "help" }, UNDO)],
       action: isUsed ? `Remove it with ${boxesOf(row)}` : "Remove",
       kind: "danger",
     },
@@ -140,7 +138,7 @@ export function askRemoveAttribute(
   return ask(
     {
       title: `Remove ${name}`,
-      content: [h("p", {}, text), h("p", { class: "help" }, ONLY_BACKUP)],
+      content: [h("p", {}, text), h("p", { class: "help" }, UNDO)],
       action: "Remove",
       kind: "danger",
     },

@@ -32,7 +32,6 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
     patch(
       classes,
       listed.classes.map((row, index) => classRow(row, index, names)),
-      listed.unknown.map((row) => unknownRow(row, names)),
     );
     const rows = schema().map((attribute) => attributeRow(attribute, names));
     patch(attributes, rows.length ? rows : h("p", { class: "muted" }, "None yet."));
@@ -120,15 +119,6 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
     );
   }
 
-  function unknownRow(/** @type {Api.ClassRow} */ row, /** @type {string[]} */ names) {
-    return h(
-      "p",
-      { class: "row", "data-testid": "unknown-class" },
-      h("span", { class: "grow bad" }, `No class of the project, but of ${boxesOf(row)}: ${row.name}`),
-      button("Merge", () => askMerge(row, names, change)),
-    );
-  }
-
   function attributeRow(/** @type {Attribute} */ attribute, /** @type {string[]} */ names) {
     const all = schema().map((each) => each.name);
     const index = all.indexOf(attribute.name);
@@ -167,11 +157,7 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
       testid: "classes-dialog",
       wide: true,
       content: [
-        h(
-          "p",
-          { class: "help" },
-          "Each change is saved at once, for everybody. Undo (Ctrl+Z) leaves classes as they are.",
-        ),
+        h("p", { class: "help" }, "Each change is saved at once, for everybody. Undo (Ctrl+Z) takes it back."),
         problem,
         classes,
         h("div", { class: "row" }, name, button("Add", add, { "data-testid": "add-class" })),

@@ -25,12 +25,12 @@ def stored(project: Project) -> list[str]:
     """The latest proposals as one string per frame; equal strings mean bitwise equal results."""
     found = []
     for frame in project.frames.of():
-        latest = project.proposals.latest(frame.id)
-        objects = latest.objects if latest else ()
+        labels = project.labels.of_moment(frame.id)
         found.append(
-            repr([(o.proposal.label, o.proposal.score, o.proposal.trace, o.proposal.quality) for o in objects])
-            + repr([o.proposal.box for o in objects])
-            + repr(latest.lost if latest else ())
+            repr(
+                [(o.label.label, o.label.score, o.label.box.pose.tolist(), o.label.box.size_m.tolist()) for o in labels]
+            )
+            + repr([o.quality for o in labels])
         )
     return found
 
