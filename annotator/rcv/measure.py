@@ -110,25 +110,19 @@ def pair_all(
     Objects on the same floor overlap on the shared axis even in wrong pairs. So a pair is also ranked by its support:
     the IoU of the sets of points in its front box and in its side box.
     """
-    from annotator.rcv.fit_kernels import count_within
-
-    axes32, xyz_m = axes.astype(np.float32, "C"), np.ascontiguousarray(cloud.xyz_m)
+    along = cloud.xyz_m @ axes.T.astype(np.float32)
     ranked: list[tuple[float, Pair]] = []
     for i in range(len(front_boxes)):
         for j in range(len(side_boxes)):
             pair = make_pair(axes, views, front_boxes, side_boxes, i, j)
             if pair.shared_overlap < MIN_SHARED_OVERLAP:
                 continue
-            margin = cut_margin_m(pair.box, views)
-            low, high = (
-                (pair.spans_m[:, 0] - margin).astype(np.float32),
-                (pair.spans_m[:, 1] + margin).astype(np.float32),
-            )
-            both, front_only, side_only = count_within(xyz_m, axes32, low, high)
-            if both == 0:
-                continue
-            support = both / max(front_only + side_only - both, 1)
-            ranked.append((support * pair.shared_overlap * pair.score, pair))
+            low, high = (pair.spans_m + cut_margin_m(pair.box, views) * np.array([-1.0, 1.0])).T.astype(np.float32)
+            across, shared, depth = ((along >= low) & (along <= high)).T
+            in_both = np.count_nonzero(across & shared & depth)
+            if in_both:
+                support = in_both / np.count_nonzero(shared & (across | depth))
+                ranked.append((support * pair.shared_overlap * pair.score, pair))
     ranked.sort(key=lambda item: -item[0])
     chosen: list[Pair] = []
     for _, pair in ranked:

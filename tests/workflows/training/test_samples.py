@@ -371,9 +371,8 @@ def test_the_script_trains_and_installs(
 
 
 def test_views_that_show_unreviewed_objects_are_left_out(people: Project) -> None:
-    accept(people, 0, count=1)
+    accept(people, 0, count=2)
     before = views(people, gather(people), 40)
-    propose_true(people, 0, 1)
-    propose_true(people, 0, 2)  # replaces the earlier proposal, so only this one is open
+    propose_true(people, 0, 2)  # stands in front of the second one
     after = views(people, gather(people, [DetectorKind.VIEW]), 40)
     assert 0 < len(after) < len(before)
