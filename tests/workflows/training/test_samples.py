@@ -60,10 +60,10 @@ def views(
     return list(view_samples(project, material, config, SampleConfig(views=number, seed=seed), never))
 
 
-def accept(project: Project, index: int, count: int = 3) -> tuple[str, ...]:
+def accept(project: Project, index: int, count: int = 3, first: int = 0) -> tuple[str, ...]:
     """Creates accepted labels of the first true boxes of a frame; returns their uids."""
     recording = open_recording(project.recordings.all()[0].path)
-    truths = load_truth(recording, index, recording.frame(index))[:count]
+    truths = load_truth(recording, index, recording.frame(index))[first:count]
     stored = project.frames.of()[index]
     new = [NewLabel(truth.label, truth.box) for truth in truths]
     return project.labels.create(stored.id, new, WriteContext(stored.revision, "me")).uids
@@ -371,8 +371,8 @@ def test_the_script_trains_and_installs(
 
 
 def test_views_that_show_unreviewed_objects_are_left_out(people: Project) -> None:
-    accept(people, 0, count=2)
+    accept(people, 1, first=2)
     before = views(people, gather(people), 40)
-    propose_true(people, 0, 2)  # stands in front of the second one
+    propose_true(people, 1, 1)  # stands behind it
     after = views(people, gather(people, [DetectorKind.VIEW]), 40)
     assert 0 < len(after) < len(before)
