@@ -20,15 +20,16 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from xml.etree import ElementTree
 
+import numpy as np
 from pydantic import ValidationError
 
 from annotator.detection.backends.network import ExportKind, NetworkFacts
 from annotator.detection.backends.openvino_network import openvino
 from annotator.detection.backends.torch_network import raw_network
 from annotator.detection.ultralytics_api import api, cache_dir, forget_oldest
-from annotator.files import NETWORK_BYTES, new_folder, read_file
-from annotator.types.bases import Strict
-from annotator.types.errors import DetectionError, FormatError
+from annotator.detection.weights import open_tensors
+from annotator.files import NETWORK_BYTES, read_file, write_atomic
+from annotator.types.errors import DetectionError
 
 # Keeps parts of the detection head in single precision while OpenVINO computes the network in bfloat16.
 #
@@ -147,7 +148,7 @@ _WRITERS: dict[ExportKind, Callable[[Any, Any, Path], None]] = {
 }
 
 
-RECORD, LOCK = "export.json", "exports.lock"
+LOCK = "exports.lock"
 # Increase when the export code changes its output for the same weights and packages.
 REVISIONS: Mapping[ExportKind, int] = {"openvino": 3, "onnxruntime": 2}
 # An export is repeated when the version of one of these packages changes.
@@ -167,14 +168,6 @@ class Export:
 
     facts: NetworkFacts
     parts: Mapping[str, bytes]
-
-
-class _Record(Strict):
-    """Content of `export.json`: the key of the export, the network's facts and the SHA-256 of each file by name."""
-
-    key: str
-    facts: NetworkFacts
-    files: dict[str, str]
 
 
 def export_key(kind: ExportKind, weights_sha256: str) -> str:
@@ -208,11 +201,21 @@ def one_at_a_time() -> Iterator[None]:
 
 def find_export(kind: ExportKind, key: str) -> Export | None:
     """Reads an export from the user's cache; None if it has no valid copy."""
-    folder = _place(kind, key)
-    export = _read(folder, key)
-    if export is not None:
-        with suppress(OSError):
-            os.utime(folder)  # the least recently used exports are removed
+    path = _place(kind, key)
+    if not path.exists():
+        return None
+    try:
+        with open_tensors(path, "numpy", "exporting again") as file:
+            parts = {name: file.get_tensor(name).tobytes() for name in file.keys()}  # noqa: SIM118
+            facts = dict(file.metadata() or {})
+        if facts["sha256"] != _digest(key, parts):
+            raise DetectionError(f"{path}: damaged; exporting again")
+        export = Export(NetworkFacts.model_validate_json(facts["network"]), parts)
+    except (DetectionError, KeyError, ValidationError) as error:
+        LOG.warning("an export for %s cannot be read, exporting again: %s", kind, error)
+        return None
+    with suppress(OSError):
+        os.utime(path)  # the least recently used exports are removed
     return export
 
 
@@ -220,45 +223,27 @@ def keep_export(kind: ExportKind, key: str, export: Export) -> None:
     """Stores an export in the user's cache, and removes the least recently used ones.
 
     Never beside the weights: those may lie in a project that somebody else made, and an export found there could be
-    anything. If the cache is not writable, a warning is logged, and the export is repeated each time. If two processes
-    store the same export at once, the first result is kept.
+    anything. If the cache is not writable, a warning is logged, and the export is repeated each time.
     """
-    folder = _place(kind, key)
+    from safetensors.numpy import save
+
+    path = _place(kind, key)
+    facts = {"network": export.facts.model_dump_json(), "sha256": _digest(key, export.parts)}
     try:
-        _write(folder, key, export)
-    except (FormatError, OSError) as error:
-        if _read(folder, key) is None:  # else another process was faster
-            LOG.warning("an export for %s cannot be stored, so it is repeated each time: %s", kind, error)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(path, save({name: np.frombuffer(part, np.uint8) for name, part in export.parts.items()}, facts))
+    except OSError as error:
+        LOG.warning("an export for %s cannot be stored, so it is repeated each time: %s", kind, error)
         return
-    forget_oldest(folder.parent)
+    forget_oldest(path.parent)
 
 
 def _place(kind: ExportKind, key: str) -> Path:
-    return cache_dir() / "exports" / f"{kind}-{key}"
+    return cache_dir() / "exports" / f"{kind}-{key}.safetensors"
 
 
-def _read(folder: Path, key: str) -> Export | None:
-    try:
-        record = _Record.model_validate_json(read_file(folder / RECORD))
-        parts = {name: read_file(folder / name, NETWORK_BYTES) for name in record.files if Path(name).name == name}
-    except (OSError, ValidationError) as error:
-        if folder.exists():
-            LOG.warning("%s: cannot be read (%s); exporting again", folder, type(error).__name__)
-        return None
-    digests = {name: hashlib.sha256(content).hexdigest() for name, content in parts.items()}
-    if record.key != key or digests != record.files:
-        LOG.warning("%s: damaged; exporting again", folder)
-        return None
-    return Export(record.facts, parts)
-
-
-def _write(folder: Path, key: str, export: Export) -> None:
-    digests = {name: hashlib.sha256(content).hexdigest() for name, content in export.parts.items()}
-    record = _Record(key=key, facts=export.facts, files=digests)
-    with new_folder(folder, lambda existing: _read(existing, key) is None) as part:
-        for name, content in export.parts.items():
-            (part / name).write_bytes(content)
-        (part / RECORD).write_text(record.model_dump_json(indent=1), encoding="utf-8")
+def _digest(key: str, parts: Mapping[str, bytes]) -> str:
+    return hashlib.sha256(b"".join([key.encode(), *(parts[name] for name in sorted(parts))])).hexdigest()
 
 
 def _version(package: str) -> str | None:
