@@ -53,19 +53,25 @@ def random_object(palette: Palette, random: np.random.Generator, family: str | N
     return grounded(mesh.scaled(1.0 / float(np.ptp(mesh.vertices, axis=0).max())))
 
 
-def _block(colours: Colours, random: np.random.Generator) -> Mesh:
-    """One part: a box, a cushion, a cylinder, a cone or an ellipsoid of any proportions."""
-    parts, size = Parts(), _proportions(random)
-    kind = int(random.integers(4))
+def _add_part(
+    parts: Parts, center: np.ndarray, size: np.ndarray, material: int, random: np.random.Generator, axes: np.ndarray
+) -> None:
+    """A box, a cushion or an ellipsoid, or a cylinder or a cone."""
+    kind, (_, _, up) = int(random.integers(3)), axes.T
     if kind == 0:
-        parts.slab(np.zeros(3), size, colours.pick(random))
+        parts.slab(center, size, material, axes)
     elif kind == 1:
-        parts.ball(np.zeros(3), size / 2, colours.pick(random), power=float(random.choice([2.0, 3.0, 6.0, 12.0])))
+        parts.ball(center, size / 2, material, axes=axes, power=float(random.choice([2.0, 3.0, 6.0, 12.0])))
     else:
-        top = random.uniform(0.1, 1.0) if kind == 3 else 1.0
-        axis = np.array([0.0, 0.0, size[2]])
-        radius = float(size[0]) / 2
-        parts.rod(np.zeros(3), axis, radius, colours.pick(random), end_radius=radius * top, round_ends=False)
+        radius, half = float(size[0]) / 2, float(size[2]) / 2 * up
+        top = radius * random.uniform(0.1, 1.2)
+        parts.rod(center - half, center + half, radius, material, end_radius=top, round_ends=False)
+
+
+def _block(colours: Colours, random: np.random.Generator) -> Mesh:
+    """One part of any proportions."""
+    parts = Parts()
+    _add_part(parts, np.zeros(3), _proportions(random), colours.pick(random), random, np.eye(3))
     return parts.mesh()
 
 
@@ -74,16 +80,7 @@ def _stack(colours: Colours, random: np.random.Generator) -> Mesh:
     parts, height = Parts(), 0.0
     for _ in range(int(random.integers(2, 6))):
         size = _proportions(random) * random.uniform(0.4, 1.0)
-        base, center = np.array([0.0, 0.0, height]), np.array([0.0, 0.0, height + size[2] / 2])
-        kind, material = int(random.integers(3)), colours.pick(random)
-        if kind == 0:
-            parts.slab(center, size, material)
-        elif kind == 1:
-            top = float(size[0]) / 2 * random.uniform(0.3, 1.2)
-            end = base + np.array([0.0, 0.0, size[2]])
-            parts.rod(base, end, float(size[0]) / 2, material, end_radius=top, round_ends=False)
-        else:
-            parts.ball(center, size / 2, material, power=float(random.choice([2.0, 4.0])))
+        _add_part(parts, xyz(0, 0, height + size[2] / 2), size, colours.pick(random), random, np.eye(3))
         height += float(size[2]) * random.uniform(0.85, 1.0)
     return parts.mesh()
 
@@ -309,11 +306,9 @@ def _long(colours: Colours, random: np.random.Generator) -> Mesh:
     start, end = np.zeros(3), np.array([1.0, 0, 0])
     parts.rod(start, end, radius, main, end_radius=radius * random.uniform(0.5, 1.2))
     for at in (start, end):
-        kind = random.random()
-        if kind < 0.35:
-            parts.slab(at, random.uniform(1.5 * radius, 0.35, 3), colours.pick(random))
-        elif kind < 0.6:
-            parts.ball(at, random.uniform(1.5 * radius, 0.2, 3), colours.pick(random))
+        if random.random() < 0.6:
+            size = random.uniform(1.5 * radius, 0.35, 3)
+            _add_part(parts, at, size, colours.pick(random), random, np.eye(3))
     return parts.mesh()
 
 
@@ -323,10 +318,7 @@ def _compound(colours: Colours, random: np.random.Generator) -> Mesh:
     for _ in range(int(random.integers(2, 7))):
         size = _proportions(random) * random.uniform(0.3, 0.8)
         axes = np.eye(3) if random.random() < 0.6 else Rotation.random(rng=random).as_matrix()
-        if random.random() < 0.5:
-            parts.slab(at, size, colours.pick(random), axes)
-        else:
-            parts.ball(at, size / 2, colours.pick(random), axes=axes, power=float(random.choice([2, 4, 8])))
+        _add_part(parts, at, size, colours.pick(random), random, axes)
         at = at + random.uniform(-0.5, 0.5, 3) * size
     mesh = parts.mesh()
     return mirrored(mesh) if random.random() < 0.6 else mesh
