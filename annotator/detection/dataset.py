@@ -25,6 +25,7 @@ from annotator.geometry.outline import clip_to_image, shares_of
 from annotator.image_bytes import read_image
 from annotator.types import Box2D, BoxKind
 from annotator.types.bases import Strict
+from annotator.types.detector import Picture
 from annotator.types.errors import ConfigError, DetectionError, FormatError
 from annotator.types.messages import first_problem
 
@@ -105,6 +106,17 @@ SPLITS: tuple[Split, Split] = ("train", "val")
 Rgb = UInt8[np.ndarray, "h w 3"]
 
 
+def read_picture(path: Path) -> Picture:
+    """Reads a training image."""
+    try:
+        bgr = read_image(path, cv2.IMREAD_COLOR)
+    except (OSError, ValueError) as error:
+        raise DetectionError(
+            f"{path}: training image cannot be read ({error}); restore the file or remove its labels"
+        ) from error
+    return Picture(np.ascontiguousarray(bgr[:, :, ::-1]))
+
+
 @dataclass(frozen=True, eq=False)
 class TrainingSample:
     """One labelled image.
@@ -127,13 +139,7 @@ class TrainingSample:
     def load(self) -> Rgb:
         """The image as an array."""
         if isinstance(self.rgb, Path):
-            try:
-                bgr = read_image(self.rgb, cv2.IMREAD_COLOR)
-            except (OSError, ValueError) as error:
-                raise DetectionError(
-                    f"{self.rgb}: training image cannot be read ({error}); restore the file or remove its labels"
-                ) from error
-            return np.ascontiguousarray(bgr[:, :, ::-1])
+            return read_picture(self.rgb).rgb
         return self.rgb() if callable(self.rgb) else self.rgb
 
 

@@ -16,14 +16,13 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from annotator.detection.config import DetectorConfig, EdgeErrors
-from annotator.detection.dataset import DatasetManifest, TrainingSample
+from annotator.detection.dataset import DatasetManifest, read_picture
 from annotator.detection.trained import TrainedModel
 from annotator.detection.yolo import YoloDetector
 from annotator.files import read_text_file
 from annotator.geometry.iou import box_iou
 from annotator.geometry.outline import edges_of
 from annotator.types import Box2D
-from annotator.types.detector import Picture
 
 # A fit needs at least this many edges, and must explain the errors better than one constant by this log-likelihood.
 MIN_EDGES, MIN_GAIN = 200, 0.02
@@ -123,7 +122,7 @@ def with_edge_errors(trained: TrainedModel, dataset: Path, manifest: DatasetMani
     images = [dataset / entry.image for entry in manifest.entries if entry.split == "val" and entry.boxes]
     for begin in range(0, len(images), AT_ONCE):
         part = images[begin : begin + AT_ONCE]
-        pictures = [Picture(TrainingSample(path, (), "", "").load()) for path in part]
+        pictures = [read_picture(path) for path in part]
         for path, picture, boxes in zip(part, pictures, detector.detect(pictures), strict=True):
             height, width = picture.rgb.shape[:2]
             scale = trained.image_size_px / max(height, width)
