@@ -122,25 +122,19 @@ class TrainingSample:
     """One labelled image.
 
     Attributes:
-        rgb: (H, W, 3) uint8 in RGB order, a function that returns it, or an image file.
+        rgb: (H, W, 3) uint8 in RGB order.
         group: key of the source frame; images of one group are never split between training and validation.
         origin: where the boxes come from, such as "drawn", "imported" or "projected".
         label_uids: uids of the source labels, for the first boxes; may be shorter than `boxes`.
         look_px: longer side at which the detector will see this image, pixels; 0: the training size (see `tiles`).
     """
 
-    rgb: Rgb | Callable[[], Rgb] | Path
+    rgb: Rgb
     boxes: tuple[Box2D, ...]
     group: str
     origin: str
     label_uids: tuple[str, ...] = ()
     look_px: int = 0
-
-    def load(self) -> Rgb:
-        """The image as an array."""
-        if isinstance(self.rgb, Path):
-            return read_picture(self.rgb).rgb
-        return self.rgb() if callable(self.rgb) else self.rgb
 
 
 def write_dataset(
@@ -202,7 +196,7 @@ def _write_sample(
     folder: Path, stem: str, sample: TrainingSample, classes: Sequence[str], split: Split
 ) -> tuple[ManifestEntry, str]:
     """Writes an image and its labels; returns its entry, and a hash of both."""
-    rgb = sample.load()
+    rgb = sample.rgb
     height_px, width_px = rgb.shape[:2]
     numbers = {name: number for number, name in enumerate(classes)}
     lines, names = [], []
@@ -284,7 +278,7 @@ def tiled(samples: Iterable[TrainingSample], size_px: int) -> Iterator[TrainingS
 
 
 def _tiles(sample: TrainingSample, size_px: int) -> Iterator[TrainingSample]:
-    rgb = sample.load()
+    rgb = sample.rgb
     height_px, width_px = rgb.shape[:2]
     scale = sample.look_px / max(height_px, width_px)
     if scale != 1:

@@ -128,7 +128,7 @@ def test_drawn_views_are_drawn_anew_after_a_correction(people: Project) -> None:
     assert not any(np.array_equal(moved[view], before[view]) for view in before), "the colours are others"
     shown = [np.mean((moved[view] != 114).any(axis=2) == (before[view] != 114).any(axis=2)) for view in before]
     assert min(shown) > 0.5 and np.median(shown) > 0.9, "the boxes are on the same shapes"
-    trained = [sample.load() for sample in views(people, gather(people)) if sample.origin == DRAWN]
+    trained = [sample.rgb for sample in views(people, gather(people)) if sample.origin == DRAWN]
     assert {rgb.tobytes() for rgb in trained} == {rgb.tobytes() for rgb in moved.values()}
     people.adjustments.correct(recording.id, NO_CORRECTION, "me")
     back = {view.view_id: rgb for view, rgb in drawn_pictures(people, people.boxes.on_views(), never)}
@@ -167,7 +167,7 @@ def test_drawn_boxes_replace_the_outlines_of_their_objects(people: Project) -> N
     assert (second.origin, len(second.boxes), second.group) == (PROJECTED, 3, "1/000001")
     assert second.label_uids == uids
     frame = FrameSource(people).read(people.frames.of()[1])
-    np.testing.assert_array_equal(second.load(), frame.rgb)
+    np.testing.assert_array_equal(second.rgb, frame.rgb)
 
 
 def propose_true(project: Project, index: int, place: int) -> str:
@@ -230,7 +230,7 @@ def test_drawn_views_are_used_unchanged(people: Project) -> None:
         assert sample.origin == DRAWN
         assert len(sample.label_uids) == len(sample.boxes)
         assert sample.boxes == view.boxes
-        np.testing.assert_array_equal(sample.load(), people.views.load(view.view_id))
+        np.testing.assert_array_equal(sample.rgb, people.views.load(view.view_id))
         assert view.frame_id is not None
         assert sample.group == f"1/{people.frames.get(view.frame_id).key}"
 
