@@ -209,9 +209,13 @@ class Walker:
     pose: Pose
 
 
-def pacing(y_m: float, reach_m: float, random: np.random.Generator) -> Iterator[Walker]:
-    """A person who paces along x within `reach_m` of the middle, at a depth of `y_m`, and stops to gesture; endless."""
-    x, yaw, pose = random.uniform(-reach_m, reach_m), random.uniform(-np.pi, np.pi), posture()
+def pacing(place: float, y_m: float, reach_m: float, random: np.random.Generator) -> Iterator[Walker]:
+    """A person who paces along x within `reach_m` of the middle, at a depth of `y_m`, and stops to gesture; endless.
+
+    Args:
+        place: where they begin, -1 to 1: share of the reach.
+    """
+    x, yaw, pose = place * reach_m, random.uniform(-np.pi, np.pi), posture()
     phase, pace = random.uniform(0, 2 * np.pi), random.uniform(0.7, 1.2)
     while True:
         goal, gesture = random.uniform(-reach_m, reach_m), int(random.integers(len(GESTURES)))

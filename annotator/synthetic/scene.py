@@ -81,9 +81,14 @@ def people_scene(random: np.random.Generator) -> Scene:
     """Three or four people in a furnished room, who pace at different depths, turn and gesture."""
     palette = Palette()
     depths = np.linspace(NEAR_M, FAR_M, 3 if random.random() < 0.5 else 4)
-    still = _furnished_room(palette, random)
+    still = _furnished_room(palette, random.spawn(1)[0])
     looks = [random_looks(palette, random) for _ in depths]
-    walks = [pacing(float(y), float(SIDEWAYS * y - MARGIN_M), random) for y in random.permutation(depths)]
+    # side by side at first
+    places = np.linspace(-0.8, 0.8, len(depths))
+    walks = [
+        pacing(float(x), float(y), float(SIDEWAYS * y - MARGIN_M), random)
+        for x, y in zip(places, random.permutation(depths), strict=True)
+    ]
     pose = _camera_pose(xyz(0, 0, random.uniform(1.5, 1.8)), pitch=-0.2, roll=random.uniform(-0.03, 0.03))
 
     def moments() -> Iterator[Moment]:
@@ -102,14 +107,14 @@ def people_scene(random: np.random.Generator) -> Scene:
 
 def hands_scene(random: np.random.Generator) -> Scene:
     """One or two gesturing hands of a person who stands 0.95 m in front of the camera and faces it."""
-    palette = Palette()
-    still = _furnished_room(palette, random)
+    palette, both = Palette(), random.random() < 0.6
+    still = _furnished_room(palette, random.spawn(1)[0])
     looks = random_looks(palette, random)
     camera = xyz(0, 1, random.uniform(1.2, 1.3))
     pose = _camera_pose(camera, pitch=random.uniform(-0.12, 0.0), roll=random.uniform(-0.03, 0.03))
     lights = Lights((random.uniform(-0.9, 0.9), 0.9, 2.5), key=0.8)
     # from the image's left to its right: the right hand, then the left; they do not touch
-    spans = {1.0: (-0.22, -0.08), -1.0: (0.08, 0.22)} if random.random() < 0.6 else {1.0: (-0.16, 0.08)}
+    spans = {1.0: (-0.22, -0.08), -1.0: (0.08, 0.22)} if both else {1.0: (-0.16, 0.08)}
     return Scene(palette, still, lights, pose, _hands(looks, camera, spans, random))
 
 

@@ -28,7 +28,7 @@ from annotator.types.errors import ConfigError
 # Minimum visibility of labelled objects: share of the silhouette, and pixels.
 LEAST_VISIBLE = 0.1
 LEAST_PIXELS = 100
-VERSION = 2
+VERSION = 3
 # The field of view of common RGB-D cameras: 525 px at a width of 640.
 FOCAL_PER_WIDTH = 525 / 640
 

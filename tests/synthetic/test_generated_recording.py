@@ -42,7 +42,7 @@ def test_a_generated_recording_is_an_rgbd_folder_with_gravity(generated: dict[st
     assert frame.up is not None
     assert frame.up @ [0, -1, 0] > (0.2 if preset == "objects" else 0.9)  # the camera is almost upright, or looks down
     made = json.loads((generated[preset] / "generated.json").read_text())
-    assert made == {"version": 2, "preset": preset, "seed": 3, "frames": FRAMES, "period_s": 0.1}
+    assert made == {"version": 3, "preset": preset, "seed": 3, "frames": FRAMES, "period_s": 0.1}
 
 
 @pytest.mark.parametrize("preset", PRESETS)

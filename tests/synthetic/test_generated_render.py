@@ -98,7 +98,7 @@ def test_the_depth_noise_grows_with_the_square_of_the_distance(z: float):
 
 
 def test_people_pace_steadily_within_reach():
-    walkers = list(islice(pacing(3.0, 1.2, np.random.default_rng(5)), 300))
+    walkers = list(islice(pacing(0.3, 3.0, 1.2, np.random.default_rng(5)), 300))
     places = np.array([walker.place for walker in walkers])
     assert np.ptp(places[:, 0]) > 1.0
     assert np.abs(places[:, 0]).max() < 1.3
