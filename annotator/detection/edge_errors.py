@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -41,21 +40,14 @@ STEPS, FITS = 50, 4
 SPREAD_ITSELF = EdgeErrors(factor=1.0, exponent=1.0, least_px=LEAST_PX, most_px=1e6)
 
 
-@dataclass(frozen=True)
-class Refused:
-    """Why a fit of `EdgeErrors` cannot be used."""
-
-    reason: str
-
-
-def fit_edge_errors(spread_px: Float64[np.ndarray, "n"], error_px: Float64[np.ndarray, "n"]) -> EdgeErrors | Refused:
-    """The map under which the errors are most likely, if they have a Laplace distribution.
+def fit_edge_errors(spread_px: Float64[np.ndarray, "n"], error_px: Float64[np.ndarray, "n"]) -> EdgeErrors | str:
+    """The map under which the errors are most likely, if they have a Laplace distribution; or why there is none.
 
     Args:
         spread_px, error_px: of edges on images that the network was not trained on; errors may have a sign.
     """
     if len(spread_px) < MIN_EDGES:
-        return Refused(f"{len(spread_px)} edges to fit to; needs {MIN_EDGES}")
+        return f"{len(spread_px)} edges to fit to; needs {MIN_EDGES}"
     least, most = (max(value, LEAST_PX) for value in np.percentile(spread_px, SEEN_SPREADS).tolist())
     size = np.abs(error_px) + LEAST_PX
     logs = np.log(np.clip(spread_px, least, most))
@@ -67,7 +59,7 @@ def fit_edge_errors(spread_px: Float64[np.ndarray, "n"], error_px: Float64[np.nd
         expected = np.exp(rows @ unknowns)
     gain = float((np.log(within.mean()) + 1) - (np.log(expected) + within / expected).mean())
     if unknowns[1] < MIN_EXPONENT or gain < MIN_GAIN:
-        return Refused(f"the spread hardly tells the error (exponent {unknowns[1]:.2f}, gain {gain:.3f})")
+        return f"the spread hardly tells the error (exponent {unknowns[1]:.2f}, gain {gain:.3f})"
     return EdgeErrors(
         factor=float(np.exp(unknowns[0])),
         exponent=float(unknowns[1]),
@@ -136,8 +128,8 @@ def with_edge_errors(trained: TrainedModel, dataset: Path, manifest: DatasetMani
     for name, parts in sorted(measured.items()):
         spread, error = np.concatenate(parts, axis=1)
         result = fit_edge_errors(spread, error)
-        if isinstance(result, Refused):
-            LOG.info("%s: no expected errors of the edges of %r: %s", trained.weights, name, result.reason)
+        if isinstance(result, str):
+            LOG.info("%s: no expected errors of the edges of %r: %s", trained.weights, name, result)
         else:
             fitted[name] = result
     return trained.model_copy(update={"edge_errors": fitted})

@@ -157,7 +157,7 @@ def refine(
             new_cost = _cost(measured, new, delta)
             gained |= cost[k] - new_cost > SETTLED * cost[k]
             if new_cost < cost[k]:
-                _copy(new, box)
+                center[k], rotation[k], size[k] = new
                 cost[k] = new_cost
                 damping[k] /= 4.0
             else:
@@ -332,14 +332,6 @@ def _move(box: Box, step: np.ndarray, least: float, moved: Box) -> None:
         new_rotation[i, 0] = a + by_cross * ka + by_square * kka
         new_rotation[i, 1] = b + by_cross * kb + by_square * kkb
         new_rotation[i, 2] = c + by_cross * kc + by_square * kkc
-
-
-@compiled
-def _copy(box: Box, place: Box) -> None:
-    for i in range(3):
-        place[0][i], place[2][i] = box[0][i], box[2][i]
-        for j in range(3):
-            place[1][i, j] = box[1][i, j]
 
 
 # Corners nearer than this are moved to it before they are projected, metres.

@@ -26,7 +26,7 @@ from annotator.geometry.outline import box_on_image, edges_at_border
 from annotator.geometry.projection import undistort_px
 from annotator.rcv.config import MIN_POINTS, RcvConfig
 from annotator.rcv.finish import image_agreement
-from annotator.rcv.first_look import depth_crops, expected_outline, in_middle
+from annotator.rcv.first_look import BORDER_PX, depth_crops, expected_outline, in_middle
 from annotator.rcv.measure import UNDETERMINED
 from annotator.rcv.pseudo_view import is_deep
 from annotator.rcv.recursion import FrustumFacts, ObjectState
@@ -128,8 +128,6 @@ ROOM = 0.2
 # The result: least share of the first step's views that show the object; largest ratio between a side and that of the
 # start box; least IoU with the start box with aligned centres, and the IoU above which one step is enough.
 MIN_SEEN, MAX_SIZE_RATIO, MIN_IOU, SETTLED_IOU = 0.6, 1.5, 0.4, 0.8
-# An object whose 2D box ends this close to the image's border may extend beyond it, pixels.
-BORDER_PX = 2.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -98,7 +98,7 @@ def table_top(random: np.random.Generator) -> Arrangement:
     spread = min(0.5 * distance, 0.45 * float(size.min()))
     for _ in range(int(random.integers(2, 10))):
         longest = float(np.exp(random.uniform(np.log(0.04), np.log(0.4)))) * min(1.0, distance)
-        _place(scene, _thing(palette, random, longest), target[:2], spread, height, random)
+        _place(scene, random_object(palette, random).scaled(longest), target[:2], spread, height, random)
     return scene
 
 
@@ -117,7 +117,7 @@ def room(random: np.random.Generator) -> Arrangement:
     for _ in range(int(random.integers(2, 9))):
         person = random.random() < 0.25
         longest = float(np.exp(random.uniform(np.log(0.2), np.log(2.2))))
-        thing = random_person(palette, random) if person else _thing(palette, random, longest)
+        thing = random_person(palette, random) if person else random_object(palette, random).scaled(longest)
         _place(scene, thing, target[:2], 0.3 + 0.6 * distance, 0.0, random, "person" if person else LABEL)
     return scene
 
@@ -139,7 +139,7 @@ def in_the_air(random: np.random.Generator) -> Arrangement:
         scene.still.append(behind.moved(turn("z", -np.pi / 2 + random.uniform(-0.4, 0.4)), place))
     for _ in range(int(random.integers(1, 5))):
         longest = float(random.uniform(0.08, 0.6)) * min(1.0, 1.2 * distance)
-        mesh = _thing(palette, random, longest)
+        mesh = random_object(palette, random).scaled(longest)
         mesh = mesh.moved(np.eye(3), xyz(0, 0, -float(mesh.vertices[:, 2].max()) / 2))
         axes = Rotation.random(rng=random).as_matrix()
         depth = distance * random.uniform(0.8, 1.4)
@@ -200,7 +200,8 @@ def street(random: np.random.Generator) -> Arrangement:
         elif kind < 0.8:
             mesh, label = random_person(palette, random), "person"
         else:
-            mesh = _thing(palette, random, float(np.exp(random.uniform(np.log(0.4), np.log(5)))))
+            mesh = random_object(palette, random)
+            mesh = mesh.scaled(float(np.exp(random.uniform(np.log(0.4), np.log(5)))))
         center = np.array([random.uniform(-0.7, 0.7) * depth, depth])
         _place(scene, mesh, center, 1.0, 0.0, random, label, along_street=kind < 0.55)
     return scene
@@ -265,10 +266,6 @@ def _middle(placed: Placed) -> np.ndarray:
 
 def _top(placed: Placed) -> float:
     return float(placed.mesh.moved(placed.axes, placed.origin_m).vertices[:, 2].max())
-
-
-def _thing(palette: Palette, random: np.random.Generator, longest_m: float) -> Mesh:
-    return random_object(palette, random).scaled(longest_m)
 
 
 def _plain(palette: Palette, random: np.random.Generator) -> int:

@@ -9,7 +9,6 @@ import shutil
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -149,16 +148,11 @@ def decision_of(model: StoredModel) -> Decision | None:
 
 
 def _boxes(model: StoredModel) -> int | None:
+    """The number of training boxes, without those of generated frames."""
     if model.manifest is None or model.manifest.name != MANIFEST_NAME or not model.manifest.is_file():
         return None
-    return _boxes_of(model.manifest.parent, model.manifest.stat().st_mtime_ns)
-
-
-@lru_cache(maxsize=256)
-def _boxes_of(folder: Path, changed_ns: int) -> int | None:
-    """Counts the training boxes of a manifest, without those of generated frames; cached until the file changes."""
     try:
-        entries = read_manifest(folder).entries
+        entries = read_manifest(model.manifest.parent).entries
         return sum(len(entry.boxes) for entry in entries if entry.split == "train" and entry.origin != GENERATED)
     except FormatError:  # only the number is lost: the model works without its manifest
         return None
