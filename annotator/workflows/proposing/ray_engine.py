@@ -81,8 +81,9 @@ class RayWorker:
         self._is_over = True
         from ray import exceptions
 
-        # a lost actor, machine or answer; `RayTaskError` is one of the task itself
-        is_lost = isinstance(error, exceptions.RayError) and not isinstance(error, exceptions.RayTaskError)
+        # of the task itself, or for every actor; all others are of a lost actor, machine or answer
+        own = (exceptions.RayTaskError, exceptions.RuntimeEnvSetupError)
+        is_lost = isinstance(error, exceptions.RayError) and not isinstance(error, own)
         if is_lost and CREATION not in str(error):
             self._report(self._number, Died("lost: " + _cause_of_death(str(error))))
         else:
