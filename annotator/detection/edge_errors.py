@@ -89,7 +89,7 @@ LOG = logging.getLogger("annotator.detectors")
 # Images that are read and run at once.
 AT_ONCE = 512
 # A detection belongs to a label with at least this IoU. Of several, the one with the highest
-# score * (IoU + STRANGER_WEIGHT) is taken, as in the recursion (`rcv/measure.choose`).
+# score * (IoU + STRANGER_WEIGHT) is taken, as in the recursion (`rcv/measure.choose_all`).
 MIN_IOU, STRANGER_WEIGHT = 0.1, 0.1
 # Edges this close to the image's border are left out: what lies beyond it cannot be seen, pixels.
 BORDER_PX = 1.0

@@ -24,19 +24,14 @@ def open_network(weights: Path, weights_sha256: str, config: DetectorConfig) -> 
     computes in half precision if the CPU supports it. With "auto" and "fastest", a backend that cannot run this
     network is skipped, and the reason is logged.
     """
-    choices = _choices(config)
-    for backend in choices[:-1]:
-        try:
-            return _open_and_log(weights, weights_sha256, config, backend)
-        except AnnotatorError as error:
-            if find_spec("torch") is None:
-                raise
-            LOG.warning("%s: cannot run on %s: %s", weights, backend, error)
-    return _open_and_log(weights, weights_sha256, config, choices[-1])
-
-
-def _open_and_log(weights: Path, weights_sha256: str, config: DetectorConfig, backend: Backend) -> Network:
-    network = _open(weights, weights_sha256, config, backend)
+    first, *others = _choices(config)
+    try:
+        network = _open(weights, weights_sha256, config, first)
+    except AnnotatorError as error:
+        if not others or find_spec("torch") is None:
+            raise
+        LOG.warning("%s: cannot run on %s: %s", weights, first, error)
+        network = _open(weights, weights_sha256, config, others[0])
     LOG.info("%s: runs on %s", weights, network.backend)
     return network
 
@@ -82,9 +77,7 @@ def _choices(config: DetectorConfig) -> tuple[Backend, ...]:
         if other_device and config.backend != "torch":
             raise ConfigError(f"{config.backend} runs on the processor, not on {config.device}; use the backend torch")
         return (config.backend,)
-    if other_device or (config.device == "auto" and has_cuda()):
-        return ("torch",)
-    if find_spec("openvino") is None:
+    if other_device or (config.device == "auto" and has_cuda()) or find_spec("openvino") is None:
         return ("torch",)
     return ("openvino-bf16" if config.backend == "fastest" else "openvino", "torch")
 
@@ -105,15 +98,15 @@ def chosen(config: DetectorConfig) -> tuple[Backend, str]:
 
 def _loaded(backend: Backend) -> Backend:
     """Loads the packages of a backend; returns openvino for openvino-bf16 on a processor without bfloat16."""
-    if backend in ("openvino", "openvino-bf16"):
-        from annotator.detection.backends.openvino_network import computes_bfloat16, openvino
+    if backend == "torch":
+        from annotator.detection.ultralytics_api import api
 
-        openvino()
-        return backend if backend == "openvino" or computes_bfloat16() else "openvino"
-    from annotator.detection.ultralytics_api import api
+        api()
+        return backend
+    from annotator.detection.backends.openvino_network import computes_bfloat16, openvino
 
-    api()
-    return backend
+    openvino()
+    return backend if backend == "openvino" or computes_bfloat16() else "openvino"
 
 
 @lru_cache(maxsize=1)

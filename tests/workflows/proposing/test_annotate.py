@@ -17,7 +17,6 @@ from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, Frame, Image, ReviewState, Source
 from annotator.types.errors import ConfigError, ProjectError
-from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.annotate import TASK_FRAMES, WRITE_ATTEMPTS, annotate, annotate_with
 from annotator.workflows.proposing.runner import InlineEngine
@@ -203,15 +202,6 @@ def test_a_limit_below_1_is_refused(people: Project, knowing: Knowing, limit: in
     assert people.jobs.all() == ()
 
 
-def test_missing_frames_are_neither_processed_nor_counted(copied: tuple[Path, Project], knowing: Knowing) -> None:
-    folder, project = copied
-    for path in (folder / "color" / "000004.jpg", folder / "depth" / "000004.png"):
-        path.unlink()
-    add_recordings(project, [folder])
-    done = annotate(project, knowing("people"), FAST)
-    assert (done.frames, done.done, done.skipped, done.failed) == (4, 4, 0, [])
-
-
 def test_frames_without_proposals_are_counted(people: Project, knowing: Knowing) -> None:
     blind = Mock(wraps=knowing("people").image, fingerprint="blind", detect=lambda images: [[] for _ in images])
     blind.labels = ("person",)
@@ -292,26 +282,6 @@ def test_a_frame_finalised_during_processing_is_not_changed(people: Project, kno
     done = annotate(people, image.pair(knowing("people")), FAST)
     assert (done.frames, done.done, done.skipped, done.failed) == (4, 4, 1, [])
     assert people.labels.of_frame(stored.id) == ()
-
-
-def test_a_frame_finalised_between_two_write_attempts_is_skipped(
-    people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    stored = people.frames.of()[0]
-    replace, first = type(people.proposals).replace, [True]
-
-    def interrupted(self, frame_id, *rest, **named):
-        if first.pop() if first else False:
-            bump(people, 0)
-            try:
-                return replace(self, frame_id, *rest, **named)
-            finally:
-                people.frames.finalise(stored.id, WriteContext(1, "me"))
-        return replace(self, frame_id, *rest, **named)
-
-    monkeypatch.setattr(type(people.proposals), "replace", interrupted)
-    done = annotate(people, knowing("people"), FAST, limit=2)
-    assert (done.frames, done.done, done.skipped, done.failed) == (1, 1, 1, [])
 
 
 def test_a_store_that_cannot_be_written_ends_the_batch(
