@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
 from scipy.optimize import linear_sum_assignment
 
 from annotator.geometry.iou import box_iou, iou_3d
@@ -174,15 +173,12 @@ def _centred(camera: Camera, box: OrientedBox, outline: Box2D, image_box: Box2D)
     """The box shifted at constant depth so that its outline is centred on the image box."""
     if any(edges_at_border(camera, outline, BORDER_PX)) or any(edges_at_border(camera, image_box, BORDER_PX)):
         return box  # the centre of its visible part is not the centre of the object
-    rays = undistort_px(camera, np.array([_middle(outline), _middle(image_box)]))
+    middles = [(b.x_min + b.x_max, b.y_min + b.y_max) for b in (outline, image_box)]
+    rays = undistort_px(camera, np.array(middles) / 2)
     shift = (rays[1] - rays[0]) * box.center_m[2]
     if not np.isfinite(shift).all():
         return box
     return OrientedBox.from_parts(box.center_m + np.array([*shift, 0.0]), box.rotation, box.size_m)
-
-
-def _middle(box: Box2D) -> Float64[np.ndarray, "2"]:
-    return np.array([box.x_min + box.x_max, box.y_min + box.y_max]) / 2
 
 
 def start_warm(cold: ObjectState, start_box: OrientedBox, config: RcvConfig) -> ObjectState:

@@ -214,7 +214,11 @@ def _draw(
         keep, axes, show = contains(crop, xyz), face_camera(_random_turn(up, rng), up), box_corners(crop)
     else:
         crop = _near_crop(target.box, up, _one_of(stages.near_jitter, rng), rng)
-        keep, axes, show = contains(crop, xyz), face_camera(_near_turn(crop, up, rng), up), box_corners(crop)
+        keep, axes, show = (
+            contains(crop, xyz),
+            face_camera((_small_turn(NEAR_TURN_RAD, up, rng) @ crop.rotation).T, up),
+            box_corners(crop),
+        )
     if keep.sum() < MIN_POINTS or scene.shows_doubtful(keep, whole):
         return None
     cloud = scene.frame.cloud.select(keep)
@@ -301,10 +305,6 @@ def _near_crop(box: OrientedBox, up: np.ndarray | None, jitter: float, rng: np.r
     center = box.center_m + box.rotation @ (rng.normal(0, jitter / 2, 3) * box.size_m)
     size = box.size_m * (1 + jitter + rng.normal(0, jitter, 3)).clip(min(0.8, 1 - 2 * jitter), 1.5 + jitter)
     return OrientedBox.from_parts(center, turn @ box.rotation, size)
-
-
-def _near_turn(box: OrientedBox, up: np.ndarray | None, rng: np.random.Generator) -> np.ndarray:
-    return (_small_turn(NEAR_TURN_RAD, up, rng) @ box.rotation).T
 
 
 def _small_turn(sigma_rad: float, up: np.ndarray | None, rng: np.random.Generator) -> np.ndarray:

@@ -59,6 +59,13 @@ class Placed:
     radius_m: float
     label: str = LABEL
 
+    @property
+    def top_m(self) -> Float64[np.ndarray, "3"]:
+        """The middle of its upper end, world frame."""
+        moved = self.mesh.moved(self.axes, self.origin_m).vertices.astype(np.float64)
+        low, high = moved.min(axis=0), moved.max(axis=0)
+        return np.array([*(low + high)[:2] / 2, high[2]])
+
     def actor(self, track: int, yaw_rad: float = 0.0, shift_m: Float64[np.ndarray, "3"] | None = None) -> Actor:
         """The object with a track id, turned about the vertical and shifted."""
         axes = turn("z", yaw_rad) @ self.axes
@@ -243,7 +250,7 @@ def _place(
         if scene.objects and random.random() < 0.25:
             other = scene.objects[int(random.integers(len(scene.objects)))]
             if random.random() < 0.3 and radius < other.radius_m:  # on top
-                place, base = other.origin_m[:2], _top(other) - 0.002
+                place, base = other.origin_m[:2], float(other.top_m[2]) - 0.002
             else:  # in contact
                 angle = random.uniform(0, 2 * np.pi)
                 gap = (radius + other.radius_m) * random.uniform(0.75, 1.0)
@@ -253,19 +260,10 @@ def _place(
         if np.linalg.norm(place - camera[:2]) < radius + 0.15 and base + high[2] - low[2] > camera[2] - 0.3:
             continue
         if base > ground_m or all(
-            np.linalg.norm(place - _middle(other)) > 0.72 * (radius + other.radius_m) for other in scene.objects
+            np.linalg.norm(place - other.top_m[:2]) > 0.72 * (radius + other.radius_m) for other in scene.objects
         ):
             scene.objects.append(Placed(mesh, axes, origin, radius, label))
             return
-
-
-def _middle(placed: Placed) -> np.ndarray:
-    moved = placed.mesh.moved(placed.axes, placed.origin_m).vertices
-    return np.asarray((moved.min(axis=0) + moved.max(axis=0))[:2] / 2, np.float64)
-
-
-def _top(placed: Placed) -> float:
-    return float(placed.mesh.moved(placed.axes, placed.origin_m).vertices[:, 2].max())
 
 
 def _plain(palette: Palette, random: np.random.Generator) -> int:

@@ -236,11 +236,6 @@ def xyz(x: Number, y: Number, z: Number) -> Float64[np.ndarray, "3"]:
     return np.array([x, y, z], np.float64)
 
 
-def mirrored(mesh: Mesh) -> Mesh:
-    """The mesh together with its mirror image in the plane y = 0."""
-    return joined([mesh, mesh.moved(np.diag([1.0, -1.0, 1.0]))])
-
-
 def grounded(mesh: Mesh) -> Mesh:
     """The mesh moved so that its box is centred above the origin and starts at z = 0."""
     low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from annotator.synthetic.materials import Material, Palette, random_colour
-from annotator.synthetic.mesh import Mesh, Parts, grounded, mirrored, turn, xyz
+from annotator.synthetic.mesh import Mesh, Parts, grounded, joined, turn, xyz
 
 # Share of the axes along which a material's two colours alternate.
 PATTERNED = 0.2
@@ -321,7 +321,7 @@ def _compound(colours: Colours, random: np.random.Generator) -> Mesh:
         _add_part(parts, at, size, colours.pick(random), random, axes)
         at = at + random.uniform(-0.5, 0.5, 3) * size
     mesh = parts.mesh()
-    return mirrored(mesh) if random.random() < 0.6 else mesh
+    return joined([mesh, mesh.moved(np.diag([1.0, -1.0, 1.0]))]) if random.random() < 0.6 else mesh
 
 
 def _proportions(random: np.random.Generator) -> np.ndarray:

@@ -17,6 +17,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, Frame, Image, ReviewState, Source
 from annotator.types.errors import ConfigError, ProjectError
+from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.annotate import TASK_FRAMES, WRITE_ATTEMPTS, annotate, annotate_with
 from annotator.workflows.proposing.runner import InlineEngine
@@ -200,6 +201,15 @@ def test_a_limit_below_1_is_refused(people: Project, knowing: Knowing, limit: in
     with pytest.raises(ConfigError, match="give 1 or more"):
         annotate(people, knowing("people"), FAST, limit=limit)
     assert people.jobs.all() == ()
+
+
+def test_missing_frames_are_neither_processed_nor_counted(copied: tuple[Path, Project], knowing: Knowing) -> None:
+    folder, project = copied
+    for path in (folder / "color" / "000004.jpg", folder / "depth" / "000004.png"):
+        path.unlink()
+    add_recordings(project, [folder])
+    done = annotate(project, knowing("people"), FAST)
+    assert (done.frames, done.done, done.skipped, done.failed) == (4, 4, 0, [])
 
 
 def test_frames_without_proposals_are_counted(people: Project, knowing: Knowing) -> None:
