@@ -15,7 +15,7 @@ from typing import Any
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import DatasetManifest, read_manifest
 from annotator.detection.edge_errors import with_edge_errors
-from annotator.detection.pretrained import StartingPoint, check_model_name, check_weights, find_starting_point
+from annotator.detection.pretrained import check_model_name, check_weights, find_starting_point
 from annotator.detection.trained import (
     BEST,
     LAST,
@@ -198,27 +198,21 @@ def train_detector(
         finished = read_trained(out)
         if finished.weights.is_file():
             return finished
-    resumes = run is not None and run.fingerprint == fingerprint and epochs_done(checkpoint) > 0
-    if run is not None and resumes:
-        start = StartingPoint(None, run.pretrained, run.note)
-    else:
-        start = find_starting_point(config)
-        if start.weights is not None:
-            check_weights(start.weights)
+    done, weights = epochs_done(checkpoint), None
+    if run is None or run.fingerprint != fingerprint or done == 0:
+        start, done = find_starting_point(config), 0
+        weights = start.weights
+        if weights is not None:
+            check_weights(weights)
         _clear(out)
         out.mkdir(parents=True, exist_ok=True)
-        run = RunRecord(
-            fingerprint=fingerprint,
-            pretrained=start.pretrained,
-            note=start.note,
-            seconds=0.0,
-            is_timed=config.seconds is not None,
-        )
+        known = {"fingerprint": fingerprint, "pretrained": start.pretrained, "note": start.note, "seconds": 0.0}
+        run = RunRecord(**known, is_timed=config.seconds is not None)
         run.write(out)
     limit_s = None if config.epochs else config.seconds
     watch = Watch(role, run, out, config.epochs_for(manifest.images["train"]), progress, stop, limit_s)
-    if not resumes or epochs_done(checkpoint) < watch.epochs or limit_s is not None:
-        _run(dataset, manifest, config, device, start.weights, checkpoint if resumes else None, watch)
+    if done < watch.epochs or limit_s is not None:
+        _run(dataset, manifest, config, device, weights, checkpoint if done else None, watch)
     return _finish(dataset, manifest, config, watch)
 
 
