@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
 
 from annotator.geometry.iou import box_iou, iou_3d_matrix, nms_3d
 from annotator.geometry.oriented_box import aligned_box, canonical_box, contains
@@ -87,8 +86,8 @@ def best_rivals(camera: Camera, states: Sequence[ObjectState], config: RcvConfig
     return [state for state in states if state.frustum is None] + best + _of_typical_sizes(choices)
 
 
-_Choice = tuple[ObjectState, Candidates, Float64[np.ndarray, "k"]]
-"""The best rival of an image box whose class has a typical size, and the boxes that it may get, with scores."""
+_Choice = tuple[ObjectState, Candidates, np.ndarray]
+"""The best rival of an image box whose class has a typical size, and the boxes that it may get, with scores (k,)."""
 
 
 def _choice(best: ObjectState, rivals: Sequence[ObjectState]) -> _Choice | None:

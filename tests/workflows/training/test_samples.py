@@ -21,7 +21,17 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import TaughtObject, TaughtView, teach_views
 from annotator.recordings import open_recording
 from annotator.synthetic.snapshots import snapshot
-from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, DetectorKind, Proposal, Quality, Source
+from annotator.types import (
+    NO_CORRECTION,
+    Box2D,
+    BoxKind,
+    Correction,
+    DetectorKind,
+    OrientedBox,
+    Proposal,
+    Quality,
+    Source,
+)
 from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
@@ -60,10 +70,10 @@ def views(
     return list(view_samples(project, material, config, SampleConfig(views=number, seed=seed), never))
 
 
-def accept(project: Project, index: int, count: int = 3, first: int = 0) -> tuple[str, ...]:
+def accept(project: Project, index: int, count: int = 3) -> tuple[str, ...]:
     """Creates accepted labels of the first true boxes of a frame; returns their uids."""
     recording = open_recording(project.recordings.all()[0].path)
-    truths = load_truth(recording, index, recording.frame(index))[first:count]
+    truths = load_truth(recording, index, recording.frame(index))[:count]
     stored = project.frames.of()[index]
     new = [NewLabel(truth.label, truth.box) for truth in truths]
     return project.labels.create(stored.id, new, WriteContext(stored.revision, "me")).uids
@@ -174,8 +184,12 @@ def propose_true(project: Project, index: int, place: int) -> str:
     """Creates an unreviewed proposal of the `place`-th object of a frame; returns its uid."""
     recording = open_recording(project.recordings.all()[0].path)
     truth = load_truth(recording, index, recording.frame(index))[place]
+    return propose(project, index, truth.box)
+
+
+def propose(project: Project, index: int, box: OrientedBox) -> str:
     stored = project.frames.of()[index]
-    found = Proposal(truth.label, 0.9, truth.box, SOME, (), Quality(0.0, 1.0, 0.0))
+    found = Proposal("person", 0.9, box, SOME, (), Quality(0.0, 1.0, 0.0))
     context = WriteContext(project.frames.get(stored.id).revision, "rcv", Source.AUTO)
     (uid,) = project.proposals.replace(stored.id, [found], context).uids
     assert uid is not None
@@ -371,8 +385,10 @@ def test_the_script_trains_and_installs(
 
 
 def test_views_that_show_unreviewed_objects_are_left_out(people: Project) -> None:
-    accept(people, 1, first=2)
+    (uid,) = accept(people, 0, count=1)
     before = views(people, gather(people), 40)
-    propose_true(people, 1, 1)  # stands behind it
+    box = people.labels.get(uid).label.box
+    floor_m = box.center_m - box.rotation[:, 2] * box.size_m[2] / 2
+    propose(people, 0, OrientedBox.from_parts(floor_m, box.rotation, np.array([1.2, 1.2, 0.3])))
     after = views(people, gather(people, [DetectorKind.VIEW]), 40)
     assert 0 < len(after) < len(before)
