@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import TaughtObject
 from annotator.recordings import open_recording
 from annotator.synthetic import write_generated
-from annotator.types import Box2D, BoxKind, DetectorKind, Label, ReviewState, Source
+from annotator.types import BoxKind, DetectorKind, Label, ReviewState, Source
 from annotator.types.errors import ConfigError, DetectionError, StaleRevisionError, TrackTakenError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import active_detectors
@@ -51,44 +50,9 @@ Progress = Callable[[str, float, float], None]
 """Called with (stage, amount done, total amount)."""
 
 
-@dataclass
-class Stopwatch:
-    """The duration of each stage, seconds, by name."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-    _begin: float = field(default_factory=time.perf_counter)
-
-    def end(self, stage: str) -> None:
-        """Ends a stage, and begins the next."""
-        now = time.perf_counter()
-        self.seconds[stage] = now - self._begin
-        self._begin = now
-
-
-def counted(progress: Progress, stage: str) -> Callable[[int, int], None]:
-    """The progress of a stage whose steps are counted."""
-    return lambda done, total: progress(stage, float(done), float(total))
-
-
-def dataset_folder(root: Path, preset: str) -> Path:
-    return root / f"3D_{LABELS.get(preset, preset).upper()}"
-
-
-def require_free(root: Path, preset: str) -> None:
-    """Checks that the demo overwrites nothing, before minutes of work."""
-    for path in (root / RECORDING, root / PROJECT, dataset_folder(root, preset)):
-        if path.exists():
-            raise ConfigError(f"{path}: exists already; choose another folder for the demo")
-
-
 @dataclass(frozen=True)
 class Plan:
-    """What is generated.
-
-    Attributes:
-        preset: people, hands or objects.
-        frames: length of the recording.
-    """
+    """What is generated: the preset (people, hands or objects) and the length of the recording."""
 
     preset: str
     frames: int
@@ -101,21 +65,39 @@ EVERY = 2
 SHOWN = {DetectorKind.IMAGE: 2600, DetectorKind.VIEW: 19000}
 
 
-@contextmanager
-def _begun(root: Path, plan: Plan, watch: Stopwatch, progress: Progress) -> Iterator[tuple[store.Project, int]]:
-    """Generates the recording, and yields a new project with it, without its labels, and its id there."""
-    write_generated(
-        root / RECORDING, plan.preset, plan.frames, plan.seed, report=counted(progress, "ray-cast the recording")
-    )
-    watch.end("generate")
-    settings = store.ProjectSettings(rotation=ROTATIONS[plan.preset])
-    with store.create_project(root, PROJECT, (LABELS[plan.preset],), settings=settings) as project:
-        yield project, register_recording(project, open_recording(root / RECORDING)).id
+class _Demo:
+    """A run of the demo in a folder: its stages' progress, and their durations in seconds, by name."""
 
+    def __init__(self, root: Path, plan: Plan, progress: Progress) -> None:
+        self.root, self.plan, self.progress = root, plan, progress
+        self.label = LABELS[plan.preset]
+        self.dataset = root / f"3D_{self.label.upper()}"
+        for path in (root / RECORDING, root / PROJECT, self.dataset):  # before minutes of work
+            if path.exists():
+                raise ConfigError(f"{path}: exists already; choose another folder for the demo")
+        self.seconds: dict[str, float] = {}
+        self._begin = time.perf_counter()
 
-def _exported(project: store.Project, root: Path, plan: Plan, progress: Progress) -> ExportReport:
-    out = dataset_folder(root, plan.preset)
-    return export_project(project, out, progress=counted(progress, "write the dataset"))
+    def counted(self, stage: str) -> Callable[[int, int], None]:
+        return lambda done, total: self.progress(stage, float(done), float(total))
+
+    def end(self, stage: str) -> None:
+        """Ends a stage, and begins the next."""
+        now = time.perf_counter()
+        self.seconds[stage], self._begin = now - self._begin, now
+
+    @contextmanager
+    def project(self) -> Iterator[tuple[store.Project, int]]:
+        """Generates the recording, and yields a new project with it, without its labels, and its id there."""
+        place, report = self.root / RECORDING, self.counted("ray-cast the recording")
+        write_generated(place, self.plan.preset, self.plan.frames, self.plan.seed, report=report)
+        self.end("generate")
+        settings = store.ProjectSettings(rotation=ROTATIONS[self.plan.preset])
+        with store.create_project(self.root, PROJECT, (self.label,), settings=settings) as project:
+            yield project, register_recording(project, open_recording(place)).id
+
+    def export(self, project: store.Project) -> ExportReport:
+        return export_project(project, self.dataset, progress=self.counted("write the dataset"))
 
 
 @dataclass(frozen=True)
@@ -132,27 +114,25 @@ class TrainedResult:
 
 def run_trained(root: Path, plan: Plan, progress: Progress) -> TrainedResult:
     """Runs the loop in the folder `root`: `recording`, the project `demo`, and the dataset `3D_*`."""
-    require_free(root, plan.preset)
-    watch = Stopwatch()
-    with _begun(root, plan, watch, progress) as (project, recording):
+    run = _Demo(root, plan, progress)
+    with run.project() as (project, recording):
         config = rcv_config(project)
-        report = counted(progress, "draw 2D boxes")
-        drawn = simulate_recording(project, recording, BoxKind.BOX, config, EVERY, report)
-        watch.end("label")
+        drawn = simulate_recording(project, recording, BoxKind.BOX, config, EVERY, run.counted("draw 2D boxes"))
+        run.end("label")
         trained = train(
             project,
             _training(),
             progress=lambda role, step: progress(f"train the {role} detector", step.epochs_done, step.epochs),
         )
-        watch.end("train")
-        annotated = annotate(project, active_detectors(project), config, progress=counted(progress, "propose 3D boxes"))
-        watch.end("propose")
+        run.end("train")
+        annotated = annotate(project, active_detectors(project), config, progress=run.counted("propose 3D boxes"))
+        run.end("propose")
         name = project.recordings.get(recording).name
         unlabelled = [f"{name}/{f.key}" for n, f in enumerate(project.frames.of([recording])) if n % EVERY]
         scores = evaluate_project(project, Protocol.ORIENTED, options=Options(frames=unlabelled))
-        dataset = _exported(project, root, plan, progress)
-        watch.end("score and export")
-    return TrainedResult(drawn, trained, annotated, scores, dataset, watch.seconds)
+        dataset = run.export(project)
+        run.end("score and export")
+    return TrainedResult(drawn, trained, annotated, scores, dataset, run.seconds)
 
 
 def _training() -> TrainPlan:
@@ -169,10 +149,6 @@ GOOD_IOU = 0.5
 SAME_IOU = 0.1
 # Objects with fewer points are left out.
 MIN_POINTS = 100
-# If a viewer changes a frame while the operator does, it is read and changed again, at most so often.
-TRIES = 5
-
-Changed = TypeVar("Changed")
 
 
 @dataclass
@@ -200,7 +176,7 @@ class Reviewed:
 
 
 class SimulatedOperator:
-    """Labels one recording of a project."""
+    """Labels one recording of a project. Where a viewer changes a frame at the same time, it is left to them."""
 
     def __init__(self, project: store.Project, recording_id: int) -> None:
         self.done = Reviewed()
@@ -211,16 +187,11 @@ class SimulatedOperator:
 
     def draw(self, stored: store.StoredFrame, view: ReadyDetector, config: RcvConfig) -> None:
         """Draws a 2D box around each object without a 3D box; 3D boxes of these objects are proposed."""
-        camera = self._source.read(stored).camera
-
-        def draw(context: store.WriteContext) -> tuple[Box2D, ...]:
-            outlines = [box_on_image(camera, item.box, item.label) for item in self.missing(stored)]
-            boxes = tuple(box for box in outlines if box is not None)
-            known = next((drawn.boxes for drawn in self._project.boxes.on_images() if drawn.frame_id == stored.id), ())
-            self._project.boxes.set_on_image(stored.id, [*known, *boxes], BoxKind.BOX, context)
-            return boxes
-
-        boxes = self._changed(stored, draw)
+        context, camera = self._context(stored), self._source.read(stored).camera
+        outlines = [box_on_image(camera, item.box, item.label) for item in self.missing(stored)]
+        boxes = tuple(box for box in outlines if box is not None)
+        known = next((drawn.boxes for drawn in self._project.boxes.on_images() if drawn.frame_id == stored.id), ())
+        self._project.boxes.set_on_image(stored.id, [*known, *boxes], BoxKind.BOX, context)
         self.done.drawn += len(boxes)
         lift(self._project, GivenBoxes("boxes drawn on the images", {stored.id: boxes}, {}), view, config)
 
@@ -232,64 +203,51 @@ class SimulatedOperator:
 
     def review(self, stored: store.StoredFrame) -> list[int]:
         """Accepts, adjusts or rejects all proposals of a frame; returns the tracks of the adjusted ones."""
-        return self._changed(stored, lambda context: self._review(stored, context))
-
-    def _review(self, stored: store.StoredFrame, context: store.WriteContext) -> list[int]:
+        context = self._context(stored)
         labels, truths = self._labels(stored, (ReviewState.PROPOSED,)), self._objects(stored)
         ious = _ious(labels, truths)
         payloads: list[Payload] = []
-        taken: set[int] = set()
-        tracks: list[int] = []
-        accepted = adjusted = rejected = 0
-        kept: list[float] = []
+        taken: dict[int, float] = {}
+        tracks: list[int | None] = []
         for index in np.argsort(-ious.max(axis=1, initial=0.0)).tolist():
             label, best = labels[index], int(ious[index].argmax()) if truths else -1
             iou = float(ious[index, best]) if truths else 0.0
             if iou < SAME_IOU or best in taken:
                 payloads.append(LabelRejected(uid=label.uid))
-                rejected += 1
                 continue
-            taken.add(best)
-            kept.append(iou)
+            taken[best] = iou
             if iou >= GOOD_IOU:
                 payloads.append(LabelAccepted(uid=label.uid))
-                accepted += 1
             else:
                 box = BoxRecord.of(truths[best].box)
                 payloads.append(LabelEdited(uid=label.uid, label=label.label, box=box, track_id=label.track_id))
-                adjusted += 1
-                tracks += [] if label.track_id is None else [label.track_id]
+                tracks.append(label.track_id)
         if payloads:
             self._project.log.append(stored.id, payloads, context)
-        done = self.done
-        done.accepted, done.adjusted = done.accepted + accepted, done.adjusted + adjusted
-        done.rejected, done.ious = done.rejected + rejected, done.ious + kept
-        return tracks
+        self.done.accepted += len(taken) - len(tracks)
+        self.done.adjusted += len(tracks)
+        self.done.rejected += len(payloads) - len(taken)
+        self.done.ious += taken.values()
+        return [track for track in tracks if track is not None]
 
     def place(self, stored: store.StoredFrame) -> None:
         """Places the 3D boxes of objects for which nothing was proposed."""
-
-        def place(context: store.WriteContext) -> int:
-            new = [store.NewLabel(item.label, item.box, origin=store.Origin.PLACED) for item in self.missing(stored)]
-            if new:
-                self._project.labels.create(stored.id, new, context)
-            return len(new)
-
-        self.done.placed += self._changed(stored, place)
+        context = self._context(stored)
+        new = [store.NewLabel(item.label, item.box, origin=store.Origin.PLACED) for item in self.missing(stored)]
+        if new:
+            self._project.labels.create(stored.id, new, context)
+        self.done.placed += len(new)
 
     def track(self, stored: store.StoredFrame) -> list[int]:
         """Gives the reviewed boxes without a track new ones; returns these."""
-
-        def track(context: store.WriteContext) -> list[int]:
-            untracked = [label for label in self._labels(stored, store.REVIEWED) if label.track_id is None]
-            first = self._project.labels.next_track_id(self._recording_id)
-            tracks = list(range(first, first + len(untracked)))
-            payloads = [LabelTracked(uid=at.uid, track_id=track) for at, track in zip(untracked, tracks, strict=True)]
-            if payloads:
-                self._project.log.append_to_frames([store.FramePart(stored.id, payloads, context)], new_tracks=tracks)
-            return tracks
-
-        return self._changed(stored, track)
+        context = self._context(stored)
+        untracked = [label for label in self._labels(stored, store.REVIEWED) if label.track_id is None]
+        first = self._project.labels.next_track_id(self._recording_id)
+        tracks = list(range(first, first + len(untracked)))
+        payloads = [LabelTracked(uid=at.uid, track_id=track) for at, track in zip(untracked, tracks, strict=True)]
+        if payloads:
+            self._project.log.append_to_frames([store.FramePart(stored.id, payloads, context)], new_tracks=tracks)
+        return tracks
 
     def reviewed_of(self, tracks: Sequence[int]) -> list[int]:
         """Returns the tracks that have a reviewed box; a viewer may have deleted those of the others."""
@@ -297,17 +255,9 @@ class SimulatedOperator:
         present = {stored.label.track_id for stored in chosen}
         return [track for track in tracks if track in present]
 
-    def _changed(self, stored: store.StoredFrame, change: Callable[[store.WriteContext], Changed]) -> Changed:
-        """Changes a frame as it is now. If a viewer of the workbench is faster, the frame is read and changed again."""
-        for attempt in range(TRIES):
-            # the revision is read before the labels, so that a change in between is noticed
-            context = store.WriteContext(self._project.frames.get(stored.id).revision, AUTHOR, Source.MANUAL)
-            try:
-                return change(context)
-            except (StaleRevisionError, TrackTakenError):
-                if attempt == TRIES - 1:
-                    raise
-        raise AssertionError
+    def _context(self, stored: store.StoredFrame) -> store.WriteContext:
+        """Of the frame as it is now; read before its labels, so that a change in between is noticed."""
+        return store.WriteContext(self._project.frames.get(stored.id).revision, AUTHOR, Source.MANUAL)
 
     def _labels(self, stored: store.StoredFrame, states: Sequence[ReviewState]) -> list[Label]:
         return [label for label in self._project.labels.of_frame(stored.id) if label.state in states]
@@ -354,26 +304,25 @@ def run_first_drag(
     Args:
         on_proposals: called when the first proposals are stored; never, if there is nothing to draw.
     """
-    require_free(root, plan.preset)
+    run = _Demo(root, plan, progress)
     if not has_base():
         raise DetectionError("this installation has no base detector; run the demo with --train")
-    watch = Stopwatch()
-    with _begun(root, plan, watch, progress) as (project, recording):
+    with run.project() as (project, recording):
         view, operator = require_view(project), SimulatedOperator(project, recording)
         frames = [frame for frame in project.frames.of([recording]) if frame.index is not None]
-        report = counted(progress, "draw, follow and review")
+        report = run.counted("draw, follow and review")
         shown = False
 
         def first_boxes() -> None:
             nonlocal shown
             if not shown:
                 shown = True
-                watch.end("first boxes")
+                run.end("first boxes")
                 on_proposals()
 
         for number, stored in enumerate(frames, start=1):
             tracks: list[int] = []
-            # a frame that a viewer has finalised, or changes again and again, is left to them
+            # a frame that a viewer has finalised, or changes, is left to them
             with suppress(StaleRevisionError, TrackTakenError):
                 if not project.frames.get(stored.id).finalised:
                     tracks = _label(operator, stored, view, rcv_config(project), first_boxes)
@@ -382,11 +331,11 @@ def run_first_drag(
                 if tracks and number < len(frames):
                     follow_recording(project, recording, None, AUTHOR, tracks=tracks)
             report(number, len(frames))
-        watch.end("follow and review")
-        dataset = _exported(project, root, plan, progress)
-        watch.end("export")
+        run.end("follow and review")
+        dataset = run.export(project)
+        run.end("export")
     ious = operator.done.ious
-    return FirstDragResult(operator.done, float(np.mean(ious)) if ious else 0.0, dataset, watch.seconds)
+    return FirstDragResult(operator.done, float(np.mean(ious)) if ious else 0.0, dataset, run.seconds)
 
 
 def _label(

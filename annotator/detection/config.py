@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from annotator.types.bases import Strict
 
 # What runs a trained network. docs/detector_backends.md explains how `auto` and `fastest` choose.
-Backend = Literal["auto", "fastest", "torch", "openvino", "openvino-bf16", "onnxruntime"]
+Backend = Literal["auto", "fastest", "torch", "openvino", "openvino-bf16"]
 
 # A guess of the training speed with small views on two cores, for the length of a run before its first epoch.
 PICTURES_A_SECOND = 60

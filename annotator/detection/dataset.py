@@ -25,6 +25,7 @@ from annotator.geometry.outline import clip_to_image, shares_of
 from annotator.image_bytes import read_image
 from annotator.types import Box2D, BoxKind
 from annotator.types.bases import Strict
+from annotator.types.detector import Picture
 from annotator.types.errors import ConfigError, DetectionError, FormatError
 from annotator.types.messages import first_problem
 
@@ -105,36 +106,35 @@ SPLITS: tuple[Split, Split] = ("train", "val")
 Rgb = UInt8[np.ndarray, "h w 3"]
 
 
+def read_picture(path: Path) -> Picture:
+    """Reads a training image."""
+    try:
+        bgr = read_image(path, cv2.IMREAD_COLOR)
+    except (OSError, ValueError) as error:
+        raise DetectionError(
+            f"{path}: training image cannot be read ({error}); restore the file or remove its labels"
+        ) from error
+    return Picture(np.ascontiguousarray(bgr[:, :, ::-1]))
+
+
 @dataclass(frozen=True, eq=False)
 class TrainingSample:
     """One labelled image.
 
     Attributes:
-        rgb: (H, W, 3) uint8 in RGB order, a function that returns it, or an image file.
+        rgb: (H, W, 3) uint8 in RGB order.
         group: key of the source frame; images of one group are never split between training and validation.
         origin: where the boxes come from, such as "drawn", "imported" or "projected".
         label_uids: uids of the source labels, for the first boxes; may be shorter than `boxes`.
         look_px: longer side at which the detector will see this image, pixels; 0: the training size (see `tiles`).
     """
 
-    rgb: Rgb | Callable[[], Rgb] | Path
+    rgb: Rgb
     boxes: tuple[Box2D, ...]
     group: str
     origin: str
     label_uids: tuple[str, ...] = ()
     look_px: int = 0
-
-    def load(self) -> Rgb:
-        """The image as an array."""
-        if isinstance(self.rgb, Path):
-            try:
-                bgr = read_image(self.rgb, cv2.IMREAD_COLOR)
-            except (OSError, ValueError) as error:
-                raise DetectionError(
-                    f"{self.rgb}: training image cannot be read ({error}); restore the file or remove its labels"
-                ) from error
-            return np.ascontiguousarray(bgr[:, :, ::-1])
-        return self.rgb() if callable(self.rgb) else self.rgb
 
 
 def write_dataset(
@@ -156,11 +156,22 @@ def write_dataset(
     """
     _check(folder, classes)
     with new_folder(folder, lambda _: True) as temporary:  # `_check` refuses any other folder
-        written = [
-            _write_sample(temporary, f"{index:06d}", sample, classes, is_held_out)
-            for index, sample in enumerate(samples)
-        ]
-        manifest = _manifest(written, classes, kind)
+        digest = hashlib.sha256(json.dumps([list(classes), kind], ensure_ascii=False).encode())
+        entries = []
+        for index, sample in enumerate(samples):
+            split: Split = "val" if is_held_out(sample.group) else "train"
+            entry, content = _write_sample(temporary, f"{index:06d}", sample, classes, split)
+            entries.append(entry)
+            digest.update(f"{split} {content}\n".encode())
+        _require_training(entries)
+        manifest = DatasetManifest(
+            sha256=digest.hexdigest(),
+            classes=tuple(classes),
+            kind=kind,
+            measured_on="val" if any(entry.boxes for entry in entries if entry.split == "val") else "train",
+            images={split: sum(entry.split == split for entry in entries) for split in SPLITS},
+            entries=tuple(entries),
+        )
         (temporary / MANIFEST_NAME).write_text(manifest.model_dump_json(indent=1), encoding="utf-8")
         (temporary / "data.yaml").write_text(_data_yaml(classes, manifest.measured_on), encoding="utf-8")
     return manifest
@@ -181,22 +192,11 @@ def _check(folder: Path, classes: Sequence[str]) -> None:
         raise DetectionError(f"{folder}: exists and is not a training set; choose another folder or remove it")
 
 
-@dataclass(frozen=True)
-class _Written:
-    """A sample that has been written; `digest` is a hash of its image and labels."""
-
-    entry: ManifestEntry
-    digest: str
-
-
 def _write_sample(
-    folder: Path,
-    stem: str,
-    sample: TrainingSample,
-    classes: Sequence[str],
-    is_held_out: Callable[[str], bool],
-) -> _Written:
-    rgb = sample.load()
+    folder: Path, stem: str, sample: TrainingSample, classes: Sequence[str], split: Split
+) -> tuple[ManifestEntry, str]:
+    """Writes an image and its labels; returns its entry, and a hash of both."""
+    rgb = sample.rgb
     height_px, width_px = rgb.shape[:2]
     numbers = {name: number for number, name in enumerate(classes)}
     lines, names = [], []
@@ -209,7 +209,6 @@ def _write_sample(
         if line is not None:
             lines.append(line + "\n")
             names.append(box.label)
-    split: Split = "val" if is_held_out(sample.group) else "train"
     for kind in ("images", "labels"):
         (folder / kind / split).mkdir(parents=True, exist_ok=True)
     image = f"images/{split}/{stem}.png"
@@ -226,7 +225,7 @@ def _write_sample(
         boxes=tuple(names),
     )
     digest = hashlib.sha256(np.ascontiguousarray(rgb).tobytes() + str(rgb.shape).encode() + text.encode()).hexdigest()
-    return _Written(entry, digest)
+    return entry, digest
 
 
 def _require_training(entries: Sequence[ManifestEntry]) -> None:
@@ -242,23 +241,6 @@ def _require_training(entries: Sequence[ManifestEntry]) -> None:
             f"all labelled frames ({', '.join(keys[:3])}) are among the fifth of the frames that is kept for measuring "
             "and never used for training; label another frame"
         )
-
-
-def _manifest(written: Sequence[_Written], classes: Sequence[str], kind: BoxKind | None) -> DatasetManifest:
-    entries = [item.entry for item in written]
-    _require_training(entries)
-    digest = hashlib.sha256(json.dumps([list(classes), kind], ensure_ascii=False).encode())
-    for item in written:
-        digest.update(f"{item.entry.split} {item.digest}\n".encode())
-    by_split = {split: [entry for entry in entries if entry.split == split] for split in SPLITS}
-    return DatasetManifest(
-        sha256=digest.hexdigest(),
-        classes=tuple(classes),
-        kind=kind,
-        measured_on="val" if any(entry.boxes for entry in by_split["val"]) else "train",
-        images={split: len(by_split[split]) for split in SPLITS},
-        entries=tuple(entries),
-    )
 
 
 def _data_yaml(classes: Sequence[str], measured_on: Split) -> str:
@@ -296,7 +278,7 @@ def tiled(samples: Iterable[TrainingSample], size_px: int) -> Iterator[TrainingS
 
 
 def _tiles(sample: TrainingSample, size_px: int) -> Iterator[TrainingSample]:
-    rgb = sample.load()
+    rgb = sample.rgb
     height_px, width_px = rgb.shape[:2]
     scale = sample.look_px / max(height_px, width_px)
     if scale != 1:

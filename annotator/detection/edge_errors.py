@@ -9,21 +9,19 @@ from __future__ import annotations
 import logging
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
 from annotator.detection.config import DetectorConfig, EdgeErrors
-from annotator.detection.dataset import DatasetManifest, TrainingSample
+from annotator.detection.dataset import DatasetManifest, read_picture
 from annotator.detection.trained import TrainedModel
 from annotator.detection.yolo import YoloDetector
 from annotator.files import read_text_file
 from annotator.geometry.iou import box_iou
 from annotator.geometry.outline import edges_of
 from annotator.types import Box2D
-from annotator.types.detector import Picture
 
 # A fit needs at least this many edges, and must explain the errors better than one constant by this log-likelihood.
 MIN_EDGES, MIN_GAIN = 200, 0.02
@@ -42,21 +40,14 @@ STEPS, FITS = 50, 4
 SPREAD_ITSELF = EdgeErrors(factor=1.0, exponent=1.0, least_px=LEAST_PX, most_px=1e6)
 
 
-@dataclass(frozen=True)
-class Refused:
-    """Why a fit of `EdgeErrors` cannot be used."""
-
-    reason: str
-
-
-def fit_edge_errors(spread_px: Float64[np.ndarray, "n"], error_px: Float64[np.ndarray, "n"]) -> EdgeErrors | Refused:
-    """The map under which the errors are most likely, if they have a Laplace distribution.
+def fit_edge_errors(spread_px: Float64[np.ndarray, "n"], error_px: Float64[np.ndarray, "n"]) -> EdgeErrors | str:
+    """The map under which the errors are most likely, if they have a Laplace distribution; or why there is none.
 
     Args:
         spread_px, error_px: of edges on images that the network was not trained on; errors may have a sign.
     """
     if len(spread_px) < MIN_EDGES:
-        return Refused(f"{len(spread_px)} edges to fit to; needs {MIN_EDGES}")
+        return f"{len(spread_px)} edges to fit to; needs {MIN_EDGES}"
     least, most = (max(value, LEAST_PX) for value in np.percentile(spread_px, SEEN_SPREADS).tolist())
     size = np.abs(error_px) + LEAST_PX
     logs = np.log(np.clip(spread_px, least, most))
@@ -68,7 +59,7 @@ def fit_edge_errors(spread_px: Float64[np.ndarray, "n"], error_px: Float64[np.nd
         expected = np.exp(rows @ unknowns)
     gain = float((np.log(within.mean()) + 1) - (np.log(expected) + within / expected).mean())
     if unknowns[1] < MIN_EXPONENT or gain < MIN_GAIN:
-        return Refused(f"the spread hardly tells the error (exponent {unknowns[1]:.2f}, gain {gain:.3f})")
+        return f"the spread hardly tells the error (exponent {unknowns[1]:.2f}, gain {gain:.3f})"
     return EdgeErrors(
         factor=float(np.exp(unknowns[0])),
         exponent=float(unknowns[1]),
@@ -98,7 +89,7 @@ LOG = logging.getLogger("annotator.detectors")
 # Images that are read and run at once.
 AT_ONCE = 512
 # A detection belongs to a label with at least this IoU. Of several, the one with the highest
-# score * (IoU + STRANGER_WEIGHT) is taken, as in the recursion (`rcv/measure.choose`).
+# score * (IoU + STRANGER_WEIGHT) is taken, as in the recursion (`rcv/measure.choose_all`).
 MIN_IOU, STRANGER_WEIGHT = 0.1, 0.1
 # Edges this close to the image's border are left out: what lies beyond it cannot be seen, pixels.
 BORDER_PX = 1.0
@@ -123,7 +114,7 @@ def with_edge_errors(trained: TrainedModel, dataset: Path, manifest: DatasetMani
     images = [dataset / entry.image for entry in manifest.entries if entry.split == "val" and entry.boxes]
     for begin in range(0, len(images), AT_ONCE):
         part = images[begin : begin + AT_ONCE]
-        pictures = [Picture(TrainingSample(path, (), "", "").load()) for path in part]
+        pictures = [read_picture(path) for path in part]
         for path, picture, boxes in zip(part, pictures, detector.detect(pictures), strict=True):
             height, width = picture.rgb.shape[:2]
             scale = trained.image_size_px / max(height, width)
@@ -137,8 +128,8 @@ def with_edge_errors(trained: TrainedModel, dataset: Path, manifest: DatasetMani
     for name, parts in sorted(measured.items()):
         spread, error = np.concatenate(parts, axis=1)
         result = fit_edge_errors(spread, error)
-        if isinstance(result, Refused):
-            LOG.info("%s: no expected errors of the edges of %r: %s", trained.weights, name, result.reason)
+        if isinstance(result, str):
+            LOG.info("%s: no expected errors of the edges of %r: %s", trained.weights, name, result)
         else:
             fitted[name] = result
     return trained.model_copy(update={"edge_errors": fitted})

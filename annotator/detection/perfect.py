@@ -119,7 +119,7 @@ class PerfectDetector:
                 nor a `PseudoView`.
         """
         # The views of one step share their points, so each cloud is searched once.
-        counted: dict[int, tuple[Scene | None, Int64[np.ndarray, "k"]]] = {}
+        counted: dict[int, tuple[Scene, Int64[np.ndarray, "k"]]] = {}
         detections = []
         for image in images:
             if isinstance(image, Frame):
@@ -127,10 +127,11 @@ class PerfectDetector:
             elif isinstance(image, Region) and isinstance(image.of, Frame):
                 detections.append(on_region(image, self._on_image(image.of), MIN_SIDE_PX))
             elif isinstance(image, PseudoView):
-                known = counted.get(id(image.xyz_m))
-                if known is None:
-                    known = counted[id(image.xyz_m)] = self._count(image.xyz_m)
-                detections.append(self._on_view(image, *known))
+                if id(image.xyz_m) not in counted:
+                    scene = self._scene_of(image.xyz_m)
+                    shown = [contains(truth.box, image.xyz_m).sum() for truth in scene.truths]
+                    counted[id(image.xyz_m)] = scene, np.array(shown, np.int64)
+                detections.append(self._on_view(image, *counted[id(image.xyz_m)]))
             else:
                 raise DetectionError(
                     f"a perfect detector takes frames, regions of frames and pseudo-views, not {type(image).__name__}"
@@ -147,39 +148,26 @@ class PerfectDetector:
         boxes = []
         for index in np.argsort(scene.points, kind="stable")[::-1]:
             truth = scene.truths[index]
-            if scene.points[index] < self._min_points:
-                continue
-            box = self._image_box(scene, truth)
-            if box is None:
-                continue
-            span = np.array(box.xyxy).reshape(2, 2)
-            rng = self._rng(frame.key.encode(), int(index))
-            boxes.append(_noisy_box(truth.label, span, self._jitter * (span[1] - span[0]), size, rng))
+            if self._kind is BoxKind.BOX:
+                box = box_on_image(scene.camera, truth.box, truth.label, MIN_SIDE_PX)
+            else:
+                xyz_m = scene.xyz_m[contains(truth.box, scene.xyz_m)]
+                box = points_on_image(scene.camera, xyz_m, truth.label, MIN_SIDE_PX)
+            if box is not None and scene.points[index] >= self._min_points:
+                span = np.array(box.xyxy).reshape(2, 2)
+                rng = self._rng(frame.key.encode(), int(index))
+                boxes.append(_noisy_box(truth.label, span, self._jitter * (span[1] - span[0]), size, rng))
         return [box for box in boxes if box is not None]
 
-    def _image_box(self, scene: Scene, truth: Truth) -> Box2D | None:
-        if self._kind is BoxKind.BOX:
-            return box_on_image(scene.camera, truth.box, truth.label, MIN_SIDE_PX)
-        xyz_m = scene.xyz_m[contains(truth.box, scene.xyz_m)]
-        return points_on_image(scene.camera, xyz_m, truth.label, MIN_SIDE_PX)
-
-    def _count(self, xyz_m: Float32[np.ndarray, "n 3"]) -> tuple[Scene | None, Int64[np.ndarray, "k"]]:
-        """The frame that a view shows, and the number of points of each object among the view's points."""
-        scene = self._scene_of(xyz_m)
-        truths = scene.truths if scene is not None else ()
-        return scene, np.array([contains(t.box, xyz_m).sum() for t in truths], np.int64)
-
-    def _scene_of(self, xyz_m: Float32[np.ndarray, "n 3"]) -> Scene | None:
-        scenes = list(self._scenes.values())
-        if len(scenes) == 1 or not len(xyz_m):
-            return scenes[0] if scenes else None
-        # The points of a view are points of its frame, so a few exact coordinates identify the frame.
+    def _scene_of(self, xyz_m: Float32[np.ndarray, "n 3"]) -> Scene:
+        """The frame of a view: its points are points of its frame, so a few exact coordinates identify it."""
         probes = xyz_m[:: max(len(xyz_m) // 4, 1)]
-        return next((s for s in scenes if all((s.xyz_m == probe).all(axis=1).any() for probe in probes)), None)
+        for scene in self._scenes.values():
+            if len(self._scenes) == 1 or all((scene.xyz_m == probe).all(axis=1).any() for probe in probes):
+                return scene
+        raise DetectionError("the perfect detector has no truth for the frame of this pseudo-view")
 
-    def _on_view(self, view: PseudoView, scene: Scene | None, shown: Int64[np.ndarray, "k"]) -> list[Box2D]:
-        if scene is None:
-            raise DetectionError("the perfect detector has no truth for the frame of this pseudo-view")
+    def _on_view(self, view: PseudoView, scene: Scene, shown: Int64[np.ndarray, "k"]) -> list[Box2D]:
         height_px, width_px = view.rgb.shape[:2]
         size = np.array([width_px, height_px], np.float64)
         geometry = view.axes.tobytes() + view.origin_m.tobytes() + np.float64(view.metres_per_px).tobytes()

@@ -47,7 +47,7 @@ class StartingPoint:
     note: str
 
 
-def find_starting_point(config: TrainingConfig) -> StartingPoint:
+def find_starting_point(config: TrainingConfig, *, may_download: bool = True) -> StartingPoint:
     """The weights to start from, by `config.pretrained`; random ones if none are available."""
     name = check_model_name(config.model)
     if isinstance(config.pretrained, Path):
@@ -56,40 +56,36 @@ def find_starting_point(config: TrainingConfig) -> StartingPoint:
         return StartingPoint(config.pretrained.resolve(), True, f"starts from {config.pretrained}")
     if config.pretrained == "never":
         return StartingPoint(None, False, "starts from random weights, as configured")
-    local = find_locally(f"{name}.pt")
+    local = next((path for path in local_weights() if path.name == f"{name}.pt"), None)
     if local is not None:
         return StartingPoint(local, True, f"starts from published weights in {local}")
-    if api().user_offline:
-        return StartingPoint(
-            None, False, f"starts from random weights: {name}.pt is not cached and YOLO_OFFLINE is set"
-        )
+    random = f"starts from random weights: {name}.pt is not cached and"
+    if api().user_offline or not may_download:
+        return StartingPoint(None, False, f"{random} YOLO_OFFLINE is set")
     try:
         path = within(DOWNLOAD_TIMEOUT_S, lambda: download(f"{name}.pt"))
     except Exception as error:  # if the download fails for any reason, the training starts from random weights
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        return StartingPoint(
-            None, False, f"starts from random weights: {name}.pt is not cached and cannot be downloaded ({reason})"
-        )
+        return StartingPoint(None, False, f"{random} cannot be downloaded ({reason})")
     return StartingPoint(path, True, f"starts from published weights, downloaded to {path}")
 
 
 def check_start(config: TrainingConfig) -> None:
     """Checks the model name and the weights file, without a download, before the slow preparation of a run."""
-    name = check_model_name(config.model)
-    if isinstance(config.pretrained, Path):
-        check_weights(config.pretrained, "give another file, or auto")
-    elif config.pretrained == "auto":
-        local = find_locally(f"{name}.pt")
-        if local is not None:
-            check_weights(local, "replace or remove it")
+    try:
+        start = find_starting_point(config, may_download=False)
+    except OSError as error:
+        raise ConfigError(str(error)) from error
+    if start.weights is not None:
+        check_weights(
+            start.weights, "replace or remove it" if config.pretrained == "auto" else "give another file, or auto"
+        )
 
 
 def check_weights(path: Path, remedy: str = "replace or remove it") -> None:
     """Reads a weights file as a training run does."""
     api()
     try:
-        if not path.is_file():
-            raise ConfigError(f"{path}: no such weights file; {remedy}")
         load_weights(path, "cpu", remedy)
     except (DetectionError, OSError) as error:
         raise ConfigError(str(error)) from error
@@ -113,11 +109,6 @@ def _unknown(name: str) -> str:
         f"{name!r} is not a detection model of ultralytics; "
         "try yolo11n, yolov8n, yolov5nu or yolo26n, or a larger one such as yolo11s"
     )
-
-
-def find_locally(file_name: str) -> Path | None:
-    """A weights file in annotator's cache or in ultralytics' own weights folder."""
-    return next((path for path in local_weights() if path.name == file_name), None)
 
 
 def local_weights() -> list[Path]:

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import math
 import shutil
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import DatasetManifest, read_manifest
 from annotator.detection.edge_errors import with_edge_errors
-from annotator.detection.pretrained import StartingPoint, check_model_name, check_weights, find_starting_point
+from annotator.detection.pretrained import check_model_name, check_weights, find_starting_point
 from annotator.detection.trained import (
     BEST,
     LAST,
@@ -30,7 +29,7 @@ from annotator.detection.trained import (
 )
 from annotator.detection.ultralytics_api import api, pick_device
 from annotator.detection.weights import write_network
-from annotator.files import DOCUMENT_BYTES, open_text_file, read_text_file
+from annotator.files import read_text_file
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError, DetectionError
 
@@ -86,30 +85,26 @@ class TrainingStoppedError(DetectionError):
 Report = Callable[[TrainingProgress], None]
 
 
+@dataclass
 class Watch:
-    """Reports progress to the caller, checks for a stop request, and adds up the time over resumes."""
+    """Reports progress to the caller, checks for a stop request, and adds up the time over resumes.
 
-    def __init__(
-        self,
-        role: DetectorKind,
-        run: RunRecord,
-        out: Path,
-        epochs: int,
-        progress: Report | None,
-        stop: Callable[[], bool] | None,
-        limit_s: float | None = None,
-    ) -> None:
-        """
-        Args:
-            limit_s: duration of the run; None = until its epochs are done.
-        """
-        self._limit_s = limit_s
-        self.role, self.run, self.out, self.epochs = role, run, out, epochs
-        self._progress, self._stop = progress, stop
-        self._begin, self._paused_s = time.monotonic(), 0.0
-        self._batch, self._first_epoch = 0, -1
-        self._map50: float | None = None
-        self._map50_95: float | None = None
+    Attributes:
+        limit_s: duration of the run; None = until its epochs are done.
+    """
+
+    role: DetectorKind
+    run: RunRecord
+    out: Path
+    epochs: int
+    progress: Report | None
+    stop: Callable[[], bool] | None
+    limit_s: float | None = None
+    _begin: float = field(default_factory=time.monotonic)
+    _paused_s: float = 0.0
+    _batch: int = 0
+    _first_epoch: int = -1
+    _measured: tuple[float, float] | tuple[None, None] = (None, None)
 
     @property
     def seconds(self) -> float:
@@ -124,7 +119,7 @@ class Watch:
         self._batch = self._batch % batches + 1
         with self._clock_stopped(trainer):
             self._send(trainer, trainer.epoch, self._batch, batches)
-            stopped = self._stop is not None and self._stop()
+            stopped = self.stop is not None and self.stop()
         if stopped:
             raise TrainingStoppedError(
                 f"training was stopped in epoch {trainer.epoch + 1} of {self.epochs}; "
@@ -133,8 +128,8 @@ class Watch:
 
     def on_epoch(self, trainer: Any) -> None:
         if trainer.fitness is not None:
-            self._map50 = float(trainer.metrics["metrics/mAP50(B)"])
-            self._map50_95 = float(trainer.metrics["metrics/mAP50-95(B)"])
+            metrics = trainer.metrics
+            self._measured = float(metrics["metrics/mAP50(B)"]), float(metrics["metrics/mAP50-95(B)"])
         self.run.model_copy(update={"seconds": self.run.seconds + self.seconds}).write(self.out)
         with self._clock_stopped(trainer):
             self._send(trainer, trainer.epoch + 1, 0, len(trainer.train_loader))
@@ -149,29 +144,19 @@ class Watch:
         trainer.train_time_start += paused_s
 
     def _send(self, trainer: Any, epoch: int, batch: int, batches: int) -> None:
-        if self._progress is None:
+        if self.progress is None:
             return
         done = epoch - self._first_epoch + batch / batches
         left = self.seconds / done * (self.epochs - self._first_epoch - done) if done > 0 else None
-        if self._limit_s is not None:
-            left = max(self._limit_s - self.seconds, 0.0)
+        is_timed = self.limit_s is not None
+        if self.limit_s is not None:
+            left = max(self.limit_s - self.seconds, 0.0)
         losses = {name: float(value) for name, value in (trainer.tloss or {}).items()}
-        self._progress(
-            TrainingProgress(
-                self.role,
-                epoch,
-                self.epochs,
-                batch,
-                batches,
-                losses,
-                self._map50,
-                self._map50_95,
-                self.seconds,
-                left,
-                self.run.note,
-                self._limit_s is not None,
-            )
+        at, seconds, (map50, map50_95) = (batch, batches), self.seconds, self._measured
+        step = TrainingProgress(
+            self.role, epoch, self.epochs, *at, losses, map50, map50_95, seconds, left, self.run.note, is_timed
         )
+        self.progress(step)
 
 
 # Approximate number of validations per run, without `measure_every`.
@@ -208,59 +193,44 @@ def train_detector(
     manifest = read_manifest(dataset)
     device = pick_device(config.device)
     fingerprint = _fingerprint(manifest, config, role)
-    finished = _finished(out, fingerprint)
-    if finished is not None:
-        return finished
-    run = _resumable(out, fingerprint)
-    if run is None:
-        start = find_starting_point(config)
-        if start.weights is not None:
-            check_weights(start.weights)
+    run, checkpoint = read_run(out), out / "weights" / LAST
+    if run is not None and run.fingerprint == fingerprint and (out / "model.json").is_file():
+        finished = read_trained(out)
+        if finished.weights.is_file():
+            return finished
+    done, weights = epochs_done(checkpoint), None
+    if run is None or run.fingerprint != fingerprint or done == 0:
+        start, done = find_starting_point(config), 0
+        weights = start.weights
+        if weights is not None:
+            check_weights(weights)
         _clear(out)
         out.mkdir(parents=True, exist_ok=True)
-        run = RunRecord(
-            fingerprint=fingerprint,
-            pretrained=start.pretrained,
-            note=start.note,
-            seconds=0.0,
-            is_timed=config.seconds is not None,
-        )
+        known = {"fingerprint": fingerprint, "pretrained": start.pretrained, "note": start.note, "seconds": 0.0}
+        run = RunRecord(**known, is_timed=config.seconds is not None)
         run.write(out)
-        checkpoint = None
-    else:
-        start = StartingPoint(None, run.pretrained, run.note)
-        checkpoint = out / "weights" / LAST
     limit_s = None if config.epochs else config.seconds
     watch = Watch(role, run, out, config.epochs_for(manifest.images["train"]), progress, stop, limit_s)
-    if checkpoint is None or epochs_done(checkpoint) < watch.epochs or limit_s is not None:
-        _run(dataset, manifest, out, config, role, device, start, checkpoint, watch)
-    return _finish(dataset, out, manifest, config, role, watch)
+    if done < watch.epochs or limit_s is not None:
+        _run(dataset, manifest, config, device, weights, checkpoint if done else None, watch)
+    return _finish(dataset, manifest, config, watch)
 
 
 def _run(
     dataset: Path,
     manifest: DatasetManifest,
-    out: Path,
     config: TrainingConfig,
-    role: DetectorKind,
     device: Any,
-    start: StartingPoint,
+    weights: Path | None,
     checkpoint: Path | None,
     watch: Watch,
 ) -> None:
     from annotator.detection.trainer import TrainerHooks, make_trainer
 
-    hooks = TrainerHooks(
-        dataset=dataset,
-        manifest=manifest,
-        device=device,
-        measure_every=config.measure_every or max(math.ceil(watch.epochs / MEASUREMENTS), 1),
-        on_batch=watch.on_batch,
-        on_epoch=watch.on_epoch,
-        weights=start.weights,
-        checkpoint=checkpoint,
-    )
-    settings = trainer_settings(config, role, watch.epochs, str(device), out)
+    every = config.measure_every or max(math.ceil(watch.epochs / MEASUREMENTS), 1)
+    hooks = TrainerHooks(dataset, manifest, device, every, watch.on_batch, watch.on_epoch, weights, checkpoint)
+    out = watch.out
+    settings = trainer_settings(config, watch.role, watch.epochs, str(device), out)
     settings["model"] = f"{check_model_name(config.model)}.yaml"
     if checkpoint is not None:
         settings["resume"] = True  # keeps the curves
@@ -342,21 +312,6 @@ def _fingerprint(manifest: DatasetManifest, config: TrainingConfig, role: Detect
     return hashlib.sha256(f"{manifest.sha256} {role} {settings}".encode()).hexdigest()
 
 
-def _finished(out: Path, fingerprint: str) -> TrainedModel | None:
-    run = read_run(out)
-    if run is None or run.fingerprint != fingerprint or not (out / "model.json").is_file():
-        return None
-    trained = read_trained(out)
-    return trained if trained.weights.is_file() else None
-
-
-def _resumable(out: Path, fingerprint: str) -> RunRecord | None:
-    run = read_run(out)
-    if run is None or run.fingerprint != fingerprint or epochs_done(out / "weights" / LAST) == 0:
-        return None
-    return run
-
-
 def _clear(out: Path) -> None:
     """Removes the files of an earlier run, and no others."""
     for name in ("model.json", "run.json", DETECTOR, "curves.csv", "results.csv", "args.yaml"):
@@ -372,10 +327,9 @@ def _trim_curves(path: Path, epochs_done: int) -> None:
     path.write_text("".join(lines[: epochs_done + 1]), encoding="utf-8")
 
 
-def _finish(
-    dataset: Path, out: Path, manifest: DatasetManifest, config: TrainingConfig, role: DetectorKind, watch: Watch
-) -> TrainedModel:
+def _finish(dataset: Path, manifest: DatasetManifest, config: TrainingConfig, watch: Watch) -> TrainedModel:
     """Writes the best weights, the curves and `model.json`; removes the files that only a resume needs."""
+    role, out = watch.role, watch.out
     best = out / "weights" / BEST
     if not best.is_file():
         raise DetectionError(f"{best}: the training wrote no weights; train again")
@@ -396,7 +350,7 @@ def _finish(
             recall=measured["metrics/recall(B)"],
             measured_on=manifest.measured_on,
         ),
-        epochs=_rows(out / "curves.csv"),
+        epochs=epochs_done(out / "weights" / LAST),
         seconds=watch.run.seconds + watch.seconds,
         pretrained=watch.run.pretrained,
         note=watch.run.note,
@@ -409,8 +363,3 @@ def _finish(
     shutil.rmtree(out / "weights", ignore_errors=True)
     (out / "args.yaml").unlink(missing_ok=True)
     return trained
-
-
-def _rows(path: Path) -> int:
-    with open_text_file(path, DOCUMENT_BYTES, newline="") as file:
-        return sum(1 for _ in csv.DictReader(file))

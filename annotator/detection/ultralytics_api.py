@@ -84,13 +84,10 @@ def _load() -> SimpleNamespace:
     dict.update(utils.SETTINGS, dict.fromkeys(SERVICES, False))
     utils.LOGGER.setLevel("ERROR")
     from ultralytics.data import dataset
-    from ultralytics.engine import trainer
     from ultralytics.models.yolo.detect import DetectionTrainer
     from ultralytics.nn import tasks
     from ultralytics.utils import checks, downloads
 
-    _hide_repository(trainer)
-    _take_paths_as_they_are(downloads)
     _find_architectures_in_the_package(tasks, checks, Path(ultralytics.__file__).parent / "cfg" / "models")
     dataset.load_dataset_cache_file = _unread
     return SimpleNamespace(
@@ -134,24 +131,6 @@ def _import_torch() -> ModuleType:
     finally:
         sys.meta_path.remove(finder)
     return torch
-
-
-def _hide_repository(trainer: ModuleType) -> None:
-    """Keeps path, branch and origin of a surrounding git repository out of checkpoints."""
-    trainer.GIT = SimpleNamespace(root=None, branch=None, commit=None, message=None, origin=None)  # type: ignore[attr-defined]
-
-
-def _take_paths_as_they_are(downloads: ModuleType) -> None:
-    """Makes ultralytics use an existing weights file unchanged.
-
-    Its own search strips quotation marks and spaces from paths, and replaces a user's yolov5n.pt by yolov5nu.pt.
-    """
-    search = downloads.attempt_download_asset
-
-    def attempt_download_asset(file: str | Path, *args: Any, **kwargs: Any) -> str:
-        return str(file) if Path(file).is_file() else search(file, *args, **kwargs)
-
-    downloads.attempt_download_asset = attempt_download_asset  # type: ignore[attr-defined]
 
 
 def _find_architectures_in_the_package(tasks: ModuleType, checks: ModuleType, folder: Path) -> None:

@@ -131,18 +131,19 @@ def write_tensors(path: Path, tensors: dict[str, Any], facts: dict[str, str]) ->
 def read_tensors(path: Path, remedy: str) -> tuple[dict[str, Any], dict[str, str]]:
     """The tensors of a file by name, and its text."""
     api()
-    with _opened(path, "pt", remedy) as file:
+    with open_tensors(path, "pt", remedy) as file:
         return {name: file.get_tensor(name) for name in file.keys()}, dict(file.metadata() or {})  # noqa: SIM118
 
 
 def read_facts(path: Path) -> dict[str, str]:
     """The text of a file, without its tensors."""
-    with _opened(path, "numpy", "train the detector again") as file:
+    with open_tensors(path, "numpy", "train the detector again") as file:
         return dict(file.metadata() or {})
 
 
 @contextmanager
-def _opened(path: Path, framework: str, remedy: str) -> Iterator[Any]:
+def open_tensors(path: Path, framework: str, remedy: str) -> Iterator[Any]:
+    """Opens a safetensors file, with a bound on its size and its header."""
     from safetensors import SafetensorError, safe_open
 
     try:

@@ -11,11 +11,12 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
+from jaxtyping import Float, Float32, Float64, Int64, UInt8
 
 from annotator.detection.backends.choose import open_network
 from annotator.detection.backends.network import Answer
@@ -102,52 +103,6 @@ def to_pictures(
     return np.clip((boxes - border) * scale, 0, size) - 0.5
 
 
-# Non-maximum suppression of 2D boxes, for a whole batch at once.
-#
-# torchvision also has this function, but takes as long to load as torch itself.
-
-
-def suppress(
-    boxes: Float[np.ndarray, "n 4"],
-    scores: Float[np.ndarray, "n"],
-    groups: Int64[np.ndarray, "n"],
-    iou: float,
-) -> Int64[np.ndarray, "k"]:
-    """Greedy non-maximum suppression within each group.
-
-    Args:
-        boxes: x_min y_min x_max y_max.
-        scores: of two overlapping boxes, the one with the higher score is kept, or the first if they are equal.
-        groups: only boxes of the same group (image and class) suppress each other.
-        iou: a box is removed if its IoU with a better box exceeds this.
-
-    Returns:
-        Indices of the kept boxes, best score first.
-    """
-    order = np.lexsort((-scores, groups))
-    kept = [np.empty(0, np.int64)]
-    # Each step handles all groups at once: it keeps the best remaining box of each group and removes the boxes that it
-    # suppresses. The number of steps is the largest number of boxes kept in one group, independent of the batch size.
-    while len(order):
-        group = groups[order]
-        begins = np.concatenate([[True], group[1:] != group[:-1]])
-        best = order[begins]
-        kept.append(best)
-        suppressed = _ious(boxes[best[np.cumsum(begins) - 1]], boxes[order]) > iou
-        order = order[~(begins | suppressed)]
-    indices = np.concatenate(kept)
-    return indices[np.lexsort((indices, -scores[indices]))]
-
-
-def _ious(a: Float[np.ndarray, "n 4"], b: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n"]:
-    """IoU of the boxes in the same row of `a` and `b`."""
-    low = np.maximum(a[:, :2], b[:, :2])
-    high = np.minimum(a[:, 2:], b[:, 2:])
-    shared = np.prod(np.clip(high - low, 0, None), axis=1)
-    union = np.prod(a[:, 2:] - a[:, :2], axis=1) + np.prod(b[:, 2:] - b[:, :2], axis=1) - shared
-    return shared / np.maximum(union, 1e-12)
-
-
 # Only the candidates with the highest scores of an image enter non-maximum suppression.
 MAX_CANDIDATES = 300
 
@@ -174,7 +129,7 @@ class Candidates:
 def candidates(
     prediction: Float32[np.ndarray, "n c a"], end2end: bool, confidence: float, edge_spread: bool = False
 ) -> Candidates:
-    """The candidates of each image whose score exceeds `confidence`, at most `MAX_CANDIDATES` per image.
+    """The candidates of each image whose score exceeds `confidence`, image by image.
 
     Args:
         prediction: one column per anchor: four numbers of its box, the score of each class, and the spread of each edge
@@ -191,8 +146,6 @@ def candidates(
         picture, anchor = np.nonzero(best > confidence)
         number = classes[picture, :, anchor].argmax(axis=1)
     scores = classes[picture, number, anchor]
-    kept = _best_of_each(picture, scores)
-    picture, number, anchor, scores = picture[kept], number[kept], anchor[kept], scores[kept]
     boxes = prediction[picture, :4, anchor]
     if not end2end:
         middle, half = boxes[:, :2], boxes[:, 2:] / 2
@@ -201,16 +154,20 @@ def candidates(
     return Candidates(picture, boxes, scores, number, spreads)
 
 
-def _best_of_each(picture: Int64[np.ndarray, "k"], scores: Float[np.ndarray, "k"]) -> Bool[np.ndarray, "k"]:
-    """Mask of the candidates that are among the best `MAX_CANDIDATES` of their image."""
-    counts = np.bincount(picture)
-    if len(counts) == 0 or counts.max() <= MAX_CANDIDATES:
-        return np.ones(len(picture), bool)
-    order = np.lexsort((-scores, picture))
-    begins = np.cumsum(counts) - counts
-    kept = np.empty(len(picture), bool)
-    kept[order] = np.arange(len(picture)) - begins[picture[order]] < MAX_CANDIDATES
-    return kept
+def suppressed(found: Candidates, iou: float) -> Int64[np.ndarray, "k"]:
+    """Indices of what greedy non-maximum suppression keeps, image by image, the best score first.
+
+    Boxes of the same image and class suppress each other if their IoU exceeds `iou`. `found.picture` ascends.
+    """
+    edges = found.boxes.astype(np.float64)
+    sized = np.concatenate([edges[:, :2], edges[:, 2:] - edges[:, :2]], axis=1)
+    kept = [np.empty(0, np.int64)]
+    begins = np.flatnonzero(np.diff(found.picture, prepend=-1))
+    for begin, end in pairwise([*begins.tolist(), len(edges)]):
+        scores, numbers = found.scores[begin:end].tolist(), found.numbers[begin:end].tolist()
+        best = cv2.dnn.NMSBoxesBatched(sized[begin:end].tolist(), scores, numbers, 0.0, iou, top_k=MAX_CANDIDATES)
+        kept.append(np.asarray(best, np.int64) + begin)
+    return np.concatenate(kept)
 
 
 # Maximum number of pixels of scaled images in one call of the network; bounds the memory.
@@ -299,52 +256,40 @@ class YoloDetector:
     def _boxes(
         self, groups: Sequence[Sequence[int]], answers: Sequence[Answer], placements: Sequence[Placement]
     ) -> Iterator[tuple[int, Box2D]]:
-        """Pairs of image index and box, best score first."""
+        """Pairs of image index and box, the best of each image first."""
         facts, config = self._network.facts, self._config
-        each = [candidates(answer, facts.end2end, config.confidence, facts.edge_spread) for answer in answers]
-        picture = np.concatenate([np.array(group)[c.picture] for group, c in zip(groups, each, strict=True)])
-        boxes = np.concatenate([c.boxes for c in each])
-        scores = np.concatenate([c.scores for c in each])
-        numbers = np.concatenate([c.numbers for c in each])
-        # One suppression for the batch; groups separate images and classes. It leaves the boxes of end2end networks as
-        # they are.
-        kept = suppress(boxes, scores, picture * len(facts.labels) + numbers, config.iou)
-        edges = to_pictures(boxes[kept], picture[kept], placements)
-        wide_enough = (edges[:, 2:] - edges[:, :2] >= MIN_SIDE_PX).all(axis=1)
-        spreads = _spreads(each, kept, picture, placements) if config.edge_errors else None
-        for k in np.flatnonzero(wide_enough):
-            x_min, y_min, x_max, y_max = edges[k].tolist()
-            label, score = facts.labels[numbers[kept[k]]], float(scores[kept[k]])
-            name = config.names.get(label, label)
-            if name is None:
-                continue
-            errors = None if spreads is None else self._edge_sigma_px(label, *(part[k] for part in spreads))
-            yield int(picture[kept[k]]), Box2D(name, x_min, y_min, x_max, y_max, score, errors)
+        for group, answer in zip(groups, answers, strict=True):
+            found = candidates(answer, facts.end2end, config.confidence, facts.edge_spread)
+            # it leaves the boxes of end2end networks as they are
+            kept = suppressed(found, config.iou)
+            own = [placements[index] for index in group]
+            edges = to_pictures(found.boxes[kept], found.picture[kept], own)
+            scale = np.array([p.scale * 2 for p in own], np.float64)[found.picture[kept]]
+            wide_enough = (edges[:, 2:] - edges[:, :2] >= MIN_SIDE_PX).all(axis=1)
+            for k in np.flatnonzero(wide_enough).tolist():
+                label = facts.labels[found.numbers[kept[k]]]
+                name = config.names.get(label, label)
+                if name is not None:
+                    spread = None if found.spreads is None else found.spreads[kept[k]]
+                    errors = self._edge_sigma_px(label, spread, scale[k])
+                    score, (x_min, y_min, x_max, y_max) = float(found.scores[kept[k]]), edges[k].tolist()
+                    yield group[found.picture[kept[k]]], Box2D(name, x_min, y_min, x_max, y_max, score, errors)
 
     def _edge_sigma_px(
-        self, label: str, spread_px: np.ndarray, scale: np.ndarray
+        self, label: str, spread_px: np.ndarray | None, scale: np.ndarray
     ) -> tuple[float, float, float, float] | None:
-        """The expected errors of a box's edges, pixels of its image; None if those of its class are unknown."""
+        """The expected errors of a box's edges, pixels of its image; None if those of its class are unknown.
+
+        Args:
+            spread_px: of the edges, pixels of the network's input; None if the network gives none.
+            scale: of these pixels.
+        """
         errors = self._config.edge_errors.get(label)
-        if errors is None:
+        if errors is None or spread_px is None:
             return None
         # rounded, since these numbers are stored with every proposal; not to 0, which would weigh infinitely much
         left, top, right, bottom = np.maximum(np.round(errors.of(spread_px) * scale, 3), 0.001).tolist()
         return left, top, right, bottom
-
-
-def _spreads(
-    each: Sequence[Candidates], kept: np.ndarray, picture: np.ndarray, placements: Sequence[Placement]
-) -> tuple[Float32[np.ndarray, "k 4"], Float64[np.ndarray, "k 4"]] | None:
-    """The edges' spreads of the kept boxes, pixels of the network's input, and the scales of these pixels.
-
-    None if the network gives no spread.
-    """
-    spreads = [c.spreads for c in each if c.spreads is not None]
-    if not spreads:
-        return None
-    scale = np.array([p.scale * 2 for p in placements], np.float64)[picture[kept]]
-    return np.concatenate(spreads)[kept], scale
 
 
 def _parts(placements: Sequence[Placement]) -> Iterator[list[int]]:

@@ -168,13 +168,8 @@ class RcvConfig(BaseModel):
             image_kind: what the boxes on the camera image enclose.
             trained: whether it was trained on objects of the project; only matters if it is class-agnostic.
         """
-        settings = {
-            "box_kind": kind,
-            "class_agnostic": class_agnostic,
-            "image_box_kind": image_kind,
-            "trained": class_agnostic and trained,
-        }
-        return self.model_copy(update=settings)
+        facts = {"box_kind": kind, "class_agnostic": class_agnostic, "image_box_kind": image_kind}
+        return self.model_copy(update=facts | {"trained": class_agnostic and trained})
 
     @property
     def uses_typical_sizes(self) -> bool:

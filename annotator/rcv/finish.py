@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
 
 from annotator.geometry.iou import box_iou, iou_3d_matrix, nms_3d
 from annotator.geometry.oriented_box import aligned_box, canonical_box, contains
@@ -87,13 +86,8 @@ def best_rivals(camera: Camera, states: Sequence[ObjectState], config: RcvConfig
     return [state for state in states if state.frustum is None] + best + _of_typical_sizes(choices)
 
 
-@dataclass(frozen=True, eq=False)
-class _Choice:
-    """The best rival of an image box whose class has a typical size, and the boxes that it may get, with scores."""
-
-    best: ObjectState
-    candidates: Candidates
-    score: Float64[np.ndarray, "k"]
+_Choice = tuple[ObjectState, Candidates, np.ndarray]
+"""The best rival of an image box whose class has a typical size, and the boxes that it may get, with scores (k,)."""
 
 
 def _choice(best: ObjectState, rivals: Sequence[ObjectState]) -> _Choice | None:
@@ -110,19 +104,18 @@ def _choice(best: ObjectState, rivals: Sequence[ObjectState]) -> _Choice | None:
         boxes = Candidates.of([box for box, _ in measured])
         parts += [boxes, changed(boxes, facts.evidence, CHANGES, CHANGE_SCALE, np.random.default_rng(0))]
     candidates = Candidates.concatenate(parts)
-    return _Choice(best, candidates, facts.evidence.score(candidates, [intervals for _, intervals in measured]))
+    return best, candidates, facts.evidence.score(candidates, [intervals for _, intervals in measured])
 
 
 def _of_typical_sizes(choices: Sequence[_Choice]) -> list[ObjectState]:
     """Each best rival with the best of its candidates; objects with higher scores first, the others do not overlap."""
     taken: list[OrientedBox] = []
     chosen: dict[int, ObjectState] = {}
-    for index in sorted(range(len(choices)), key=lambda i: -float(choices[i].score.max())):
-        choice = choices[index]
-        score, best = choice.score, choice.best
+    for index in sorted(range(len(choices)), key=lambda i: -float(choices[i][2].max())):
+        best, candidates, score = choices[index]
         if taken:
-            score = score - OVERLAP_WEIGHT * iou_3d_matrix(choice.candidates.boxes, taken).max(axis=1)
-        box, iou = best_expected(choice.candidates, score)
+            score = score - OVERLAP_WEIGHT * iou_3d_matrix(candidates.boxes, taken).max(axis=1)
+        box, iou = best_expected(candidates, score)
         stop = StopReason.STEP_LIMIT if best.stop in (StopReason.LOST, StopReason.TOO_FEW_POINTS) else best.stop
         chosen[index] = replace(best, box=canonical_box(box, best.up), stop=stop, expected_loss=1 - iou)
         taken.append(box)

@@ -62,13 +62,9 @@ def depth_crops(camera: Camera, xyz_m: Float[np.ndarray, "n 3"], image_box: Box2
     crops: list[np.ndarray] = []
     for length, depth in product(LENGTHS, depths.tolist()):
         crop = depth_crop(xyz_m, depth, length * width_at(camera, image_box, depth))
-        if crop.sum() >= MIN_POINTS and all(_mask_iou(crop, other) <= SAME_CROP for other in crops):
+        if crop.sum() >= MIN_POINTS and all((crop & o).sum() <= SAME_CROP * (crop | o).sum() for o in crops):
             crops.append(crop)
     return crops
-
-
-def _mask_iou(a: np.ndarray, b: np.ndarray) -> float:
-    return float((a & b).sum() / max((a | b).sum(), 1))
 
 
 @dataclass(frozen=True, eq=False)

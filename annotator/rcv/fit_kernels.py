@@ -6,7 +6,7 @@ In the loops over rotations, every inner loop runs along the rotations and write
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float64
 
 from annotator.compiled import compiled
 
@@ -157,7 +157,7 @@ def refine(
             new_cost = _cost(measured, new, delta)
             gained |= cost[k] - new_cost > SETTLED * cost[k]
             if new_cost < cost[k]:
-                _copy(new, box)
+                center[k], rotation[k], size[k] = new
                 cost[k] = new_cost
                 damping[k] /= 4.0
             else:
@@ -334,14 +334,6 @@ def _move(box: Box, step: np.ndarray, least: float, moved: Box) -> None:
         new_rotation[i, 2] = c + by_cross * kc + by_square * kkc
 
 
-@compiled
-def _copy(box: Box, place: Box) -> None:
-    for i in range(3):
-        place[0][i], place[2][i] = box[0][i], box[2][i]
-        for j in range(3):
-            place[1][i, j] = box[1][i, j]
-
-
 # Corners nearer than this are moved to it before they are projected, metres.
 NEAR_M = 0.05
 
@@ -440,39 +432,3 @@ def point_evidence(
         result[k, 1] = hits / max(hits + behind, 1)
         result[k, 2] = hits_middle / max(open_middle, 1)
     return result
-
-
-@compiled
-def count_within(
-    xyz: Float32[np.ndarray, "n 3"],
-    axes: Float32[np.ndarray, "3 3"],
-    low: Float32[np.ndarray, "3"],
-    high: Float32[np.ndarray, "3"],
-) -> tuple[int, int, int]:
-    """Counts the points between pairs of planes perpendicular to given axes.
-
-    Args:
-        xyz: points, contiguous rows.
-        axes: rows = a1, a2, a3.
-        low, high: positions of the planes along the axes; points on a plane count.
-
-    Returns:
-        the numbers of points within all three pairs of planes, within the first two pairs, and within the last two.
-    """
-    # scalars, so that the compiler does not reload them in the loop
-    xx, xy, xz = axes[0, 0], axes[0, 1], axes[0, 2]
-    yx, yy, yz = axes[1, 0], axes[1, 1], axes[1, 2]
-    zx, zy, zz = axes[2, 0], axes[2, 1], axes[2, 2]
-    low_x, low_y, low_z = low[0], low[1], low[2]
-    high_x, high_y, high_z = high[0], high[1], high[2]
-    every, first, last = 0, 0, 0
-    # a constant stride, and `&` instead of `and`, so that the loop vectorises
-    flat = xyz.reshape(-1)
-    for i in range(len(xyz)):
-        a, b, c = flat[3 * i], flat[3 * i + 1], flat[3 * i + 2]
-        x, y, z = xx * a + xy * b + xz * c, yx * a + yy * b + yz * c, zx * a + zy * b + zz * c
-        in_x, in_y, in_z = (x >= low_x) & (x <= high_x), (y >= low_y) & (y <= high_y), (z >= low_z) & (z <= high_z)
-        every += in_x & in_y & in_z
-        first += in_x & in_y
-        last += in_y & in_z
-    return every, first, last

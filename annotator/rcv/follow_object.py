@@ -26,7 +26,7 @@ from scipy.spatial import KDTree
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
-from annotator.geometry.outline import box_on_image
+from annotator.geometry.outline import box_on_image, clip_to_image
 from annotator.geometry.projection import every_nth
 from annotator.geometry.registration import register, share_found
 from annotator.rcv.axes import with_axes_like
@@ -287,11 +287,6 @@ def _grown(camera: Camera, box: OrientedBox, label: str) -> Box2D | None:
     if outline is None:
         return None
     dx, dy = GROW * outline.width_px / 2, GROW * outline.height_px / 2
-    right, bottom = camera.width_px - 0.5, camera.height_px - 0.5
-    return replace(
-        outline,
-        x_min=max(outline.x_min - dx, -0.5),
-        y_min=max(outline.y_min - dy, -0.5),
-        x_max=min(outline.x_max + dx, right),
-        y_max=min(outline.y_max + dy, bottom),
-    )
+    x_min, y_min, x_max, y_max = outline.xyxy
+    grown = Box2D(label, x_min - dx, y_min - dy, x_max + dx, y_max + dy)
+    return clip_to_image(grown, camera.width_px, camera.height_px)

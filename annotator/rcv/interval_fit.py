@@ -140,7 +140,7 @@ class BoxFit:
         known = ends.inverse > 0
         errors = np.abs(ends.residuals(self.center_m, self.rotation, self.size_m)) * ends.inverse
         weights = ends.inverse**2 * np.minimum(1.0, HUBER_SIGMAS / np.maximum(errors, 1e-9))
-        scale = SIGMAS_PER_MEDIAN * _median(errors[known]) * float(np.sqrt(known.sum() / INDEPENDENT_ENDS))
+        scale = SIGMAS_PER_MEDIAN * float(np.median(errors[known])) * float(np.sqrt(known.sum() / INDEPENDENT_ENDS))
         return expected_iou_loss(ends.direction, weights, self.rotation, self.size_m, self.held, scale)
 
 
@@ -169,14 +169,8 @@ def fit_box(
     center_m = center + edges.shift
     if not determined(edges.measured, (center_m, rotation, size), unknowns, MIN_DETERMINACY):
         return None
-    spread = SIGMAS_PER_MEDIAN * _median(np.abs(edges.residuals(center_m, rotation, size)[known]))
+    spread = SIGMAS_PER_MEDIAN * float(np.median(np.abs(edges.residuals(center_m, rotation, size)[known])))
     return BoxFit(center_m, rotation, size, cost, spread, edges, up is not None)
-
-
-def _median(values: Float64[np.ndarray, "n"]) -> float:
-    """The median; np.median takes several times as long for so few values."""
-    ordered = np.sort(values)
-    return float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
 
 
 def _starts(intervals: Intervals, up: np.ndarray | None, near: np.ndarray | None) -> Float64[np.ndarray, "k 3 3"]:

@@ -9,7 +9,7 @@ objects: a frustum often contains neighbours, which would otherwise be unlabelle
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -196,20 +196,13 @@ def _is_hidden(frame: Frame, truth: Truth, image_box: Box2D) -> bool:
     return len(depth_m) > 0 and float((depth_m < nearest_m).mean()) >= HIDING_SHARE
 
 
-@dataclass(frozen=True, eq=False)
 class _Known:
     """The objects of a frame, the number of points in each, and their corners."""
 
-    frame: Frame
-    truths: Sequence[Truth]
-    points: tuple[int, ...] = field(init=False)
-    corners_m: np.ndarray = field(init=False)
-
-    def __post_init__(self) -> None:
-        points = tuple(int(contains(t.box, self.frame.cloud.xyz_m).sum()) for t in self.truths)
-        object.__setattr__(self, "points", points)
-        corners_m = np.array([box_corners(t.box) for t in self.truths]).reshape(-1, 8, 3)
-        object.__setattr__(self, "corners_m", corners_m)
+    def __init__(self, frame: Frame, truths: Sequence[Truth]) -> None:
+        self.truths = truths
+        self.points = [int(contains(truth.box, frame.cloud.xyz_m).sum()) for truth in truths]
+        self.corners_m = np.array([box_corners(truth.box) for truth in truths]).reshape(-1, 8, 3)
 
     def follow(self, frame: Frame, index: int, image_box: Box2D, config: RcvConfig) -> DrawnObject | None:
         """Takes one object through both steps; None if too few points are left."""

@@ -86,16 +86,12 @@ def make_pair(
     depth, shared_side = views[1].interval_m(b)
     weight = a.score / max(a.score + b.score, 1e-9)
     shared = weight * shared_front + (1 - weight) * shared_side
-    overlap = interval_iou(shared_front, shared_side)
+    (low_a, high_a), (low_b, high_b) = shared_front, shared_side
+    both = max(min(high_a, high_b) - max(low_a, low_b), 0.0)
+    overlap = float(both / max(max(high_a, high_b) - min(low_a, low_b), 1e-12))
     disagreement = float(np.abs(shared_front - shared_side).mean() / max(shared[1] - shared[0], 1e-9))
     spans = np.stack([across, shared, depth])
     return Pair(front, side, axes, spans, overlap, disagreement, float(np.sqrt(a.score * b.score)))
-
-
-def interval_iou(a: np.ndarray, b: np.ndarray) -> float:
-    """IoU of two intervals (low, high)."""
-    shared = min(a[1], b[1]) - max(a[0], b[0])
-    return float(max(shared, 0.0) / max(max(a[1], b[1]) - min(a[0], b[0]), 1e-12))
 
 
 def pair_all(
@@ -110,25 +106,19 @@ def pair_all(
     Objects on the same floor overlap on the shared axis even in wrong pairs. So a pair is also ranked by its support:
     the IoU of the sets of points in its front box and in its side box.
     """
-    from annotator.rcv.fit_kernels import count_within
-
-    axes32, xyz_m = axes.astype(np.float32, "C"), np.ascontiguousarray(cloud.xyz_m)
+    along = cloud.xyz_m @ axes.T.astype(np.float32)
     ranked: list[tuple[float, Pair]] = []
     for i in range(len(front_boxes)):
         for j in range(len(side_boxes)):
             pair = make_pair(axes, views, front_boxes, side_boxes, i, j)
             if pair.shared_overlap < MIN_SHARED_OVERLAP:
                 continue
-            margin = cut_margin_m(pair.box, views)
-            low, high = (
-                (pair.spans_m[:, 0] - margin).astype(np.float32),
-                (pair.spans_m[:, 1] + margin).astype(np.float32),
-            )
-            both, front_only, side_only = count_within(xyz_m, axes32, low, high)
-            if both == 0:
-                continue
-            support = both / max(front_only + side_only - both, 1)
-            ranked.append((support * pair.shared_overlap * pair.score, pair))
+            low, high = (pair.spans_m + cut_margin_m(pair.box, views) * np.array([-1.0, 1.0])).T.astype(np.float32)
+            across, shared, depth = ((along >= low) & (along <= high)).T
+            in_both = np.count_nonzero(across & shared & depth)
+            if in_both:
+                support = in_both / np.count_nonzero(shared & (across | depth))
+                ranked.append((support * pair.shared_overlap * pair.score, pair))
     ranked.sort(key=lambda item: -item[0])
     chosen: list[Pair] = []
     for _, pair in ranked:
@@ -148,28 +138,6 @@ def of_class(boxes: Sequence[Box2D], detected: str, label: str, min_score: float
     """
     chosen = (box for box in boxes if box.label == detected and box.score >= min_score)
     return tuple(chosen if detected == label else (replace(box, label=label) for box in chosen))
-
-
-def choose(view: PseudoView, boxes: Sequence[Box2D], last: np.ndarray | None) -> int | None:
-    """The detection that continues an object: the one with the best score times agreement with the last box.
-
-    Args:
-        last: (8, 3) corners of the last step's box, camera frame; None: only the scores are compared.
-
-    Returns:
-        an index into `boxes`, or None without detections.
-    """
-    if not boxes:
-        return None
-    if len(boxes) == 1:
-        return 0
-    scores = np.array([box.score for box in boxes])
-    if last is None:
-        return int(np.argmax(scores))
-    corners = last @ view.axes[:2].T
-    expected = view.box_px(np.stack([corners.min(axis=0), corners.max(axis=0)], axis=1), boxes[0].label)
-    agreement = np.array([box_iou(box, expected) for box in boxes])
-    return int(np.argmax(scores * (STRANGER_WEIGHT + agreement)))
 
 
 def measured_intervals(views: Sequence[PseudoView], boxes: Sequence[Box2D]) -> Intervals:
@@ -248,9 +216,20 @@ class Measurement:
 def choose_all(
     views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], last: OrientedBox | None
 ) -> tuple[int | None, ...]:
-    """The detection on each view that continues the last box, see `choose`."""
+    """On each view, the detection that continues an object: that with the best score times agreement with its last box.
+
+    Indices into `boxes`; None on views without detections. Without a last box, only the scores are compared.
+    """
     corners = None if last is None else box_corners(last)
-    return tuple(choose(view, on_view, corners) for view, on_view in zip(views, boxes, strict=True))
+    chosen: list[int | None] = []
+    for view, on_view in zip(views, boxes, strict=True):
+        rank = np.array([box.score for box in on_view])
+        if corners is not None and len(on_view) > 1:
+            along = corners @ view.axes[:2].T
+            expected = view.box_px(np.stack([along.min(axis=0), along.max(axis=0)], axis=1), on_view[0].label)
+            rank = rank * (STRANGER_WEIGHT + np.array([box_iou(box, expected) for box in on_view]))
+        chosen.append(int(np.argmax(rank)) if len(on_view) else None)
+    return tuple(chosen)
 
 
 def measure_pair(

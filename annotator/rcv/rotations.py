@@ -73,18 +73,11 @@ def yaw_grid(up: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "k 3 3"]:
 
     The next quarter turn repeats the same boxes with length and width swapped.
     """
-    return _yaw_grid(tuple(up.tolist()))
-
-
-@lru_cache(maxsize=16)
-def _yaw_grid(up: tuple[float, ...]) -> Float64[np.ndarray, "k 3 3"]:
-    z = np.array(up)
-    helper = np.eye(3)[np.argmin(np.abs(z))]
-    x = np.cross(helper, z)
+    x = np.cross(np.eye(3)[np.argmin(np.abs(up))], up)
     x /= np.linalg.norm(x)
-    base = np.stack([x, np.cross(z, x), z], axis=1)
+    base = np.stack([x, np.cross(up, x), up], axis=1)
     angles = np.arange(YAW_GRID) * (np.pi / 2 / YAW_GRID)
-    return _read_only(Rotation.from_rotvec(angles[:, None] * z).as_matrix() @ base)
+    return Rotation.from_rotvec(angles[:, None] * up).as_matrix() @ base
 
 
 def grid_neighbours(up: Float64[np.ndarray, "3"] | None, angle_rad: float) -> Bool[np.ndarray, "k k"]:
@@ -94,7 +87,7 @@ def grid_neighbours(up: Float64[np.ndarray, "3"] | None, angle_rad: float) -> Bo
 
 @lru_cache(maxsize=16)
 def _grid_neighbours(up: tuple[float, ...] | None, angle_rad: float) -> Bool[np.ndarray, "k k"]:
-    return _read_only(neighbours(free_grid() if up is None else _yaw_grid(up), angle_rad))
+    return _read_only(neighbours(free_grid() if up is None else yaw_grid(np.array(up)), angle_rad))
 
 
 def neighbours(rotations: Float64[np.ndarray, "k 3 3"], angle_rad: float) -> Bool[np.ndarray, "k k"]:

@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
 from scipy.optimize import linear_sum_assignment
 
 from annotator.geometry.iou import box_iou, iou_3d
@@ -26,7 +25,7 @@ from annotator.geometry.outline import box_on_image, edges_at_border
 from annotator.geometry.projection import undistort_px
 from annotator.rcv.config import MIN_POINTS, RcvConfig
 from annotator.rcv.finish import image_agreement
-from annotator.rcv.first_look import depth_crops, expected_outline, in_middle
+from annotator.rcv.first_look import BORDER_PX, depth_crops, expected_outline, in_middle
 from annotator.rcv.measure import UNDETERMINED
 from annotator.rcv.pseudo_view import is_deep
 from annotator.rcv.recursion import FrustumFacts, ObjectState
@@ -128,8 +127,6 @@ ROOM = 0.2
 # The result: least share of the first step's views that show the object; largest ratio between a side and that of the
 # start box; least IoU with the start box with aligned centres, and the IoU above which one step is enough.
 MIN_SEEN, MAX_SIZE_RATIO, MIN_IOU, SETTLED_IOU = 0.6, 1.5, 0.4, 0.8
-# An object whose 2D box ends this close to the image's border may extend beyond it, pixels.
-BORDER_PX = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,15 +173,12 @@ def _centred(camera: Camera, box: OrientedBox, outline: Box2D, image_box: Box2D)
     """The box shifted at constant depth so that its outline is centred on the image box."""
     if any(edges_at_border(camera, outline, BORDER_PX)) or any(edges_at_border(camera, image_box, BORDER_PX)):
         return box  # the centre of its visible part is not the centre of the object
-    rays = undistort_px(camera, np.array([_middle(outline), _middle(image_box)]))
+    middles = [(b.x_min + b.x_max, b.y_min + b.y_max) for b in (outline, image_box)]
+    rays = undistort_px(camera, np.array(middles) / 2)
     shift = (rays[1] - rays[0]) * box.center_m[2]
     if not np.isfinite(shift).all():
         return box
     return OrientedBox.from_parts(box.center_m + np.array([*shift, 0.0]), box.rotation, box.size_m)
-
-
-def _middle(box: Box2D) -> Float64[np.ndarray, "2"]:
-    return np.array([box.x_min + box.x_max, box.y_min + box.y_max]) / 2
 
 
 def start_warm(cold: ObjectState, start_box: OrientedBox, config: RcvConfig) -> ObjectState:

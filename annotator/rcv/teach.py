@@ -143,10 +143,7 @@ def teach_views(
         for _ in range(draws):
             drawn = _draw(scene, near, target, stages, config, up, rng)
             if drawn is not None:
-                taught += [
-                    _label_target(view, drawn, index) if kind is None else _label(view, drawn, kind)
-                    for view in drawn.views
-                ]
+                taught += [_label(view, drawn, kind, index) for view in drawn.views]
     return taught
 
 
@@ -217,7 +214,11 @@ def _draw(
         keep, axes, show = contains(crop, xyz), face_camera(_random_turn(up, rng), up), box_corners(crop)
     else:
         crop = _near_crop(target.box, up, _one_of(stages.near_jitter, rng), rng)
-        keep, axes, show = contains(crop, xyz), face_camera(_near_turn(crop, up, rng), up), box_corners(crop)
+        keep, axes, show = (
+            contains(crop, xyz),
+            face_camera((_small_turn(NEAR_TURN_RAD, up, rng) @ crop.rotation).T, up),
+            box_corners(crop),
+        )
     if keep.sum() < MIN_POINTS or scene.shows_doubtful(keep, whole):
         return None
     cloud = scene.frame.cloud.select(keep)
@@ -255,33 +256,19 @@ def _one_of(values: Sequence[float], rng: np.random.Generator) -> float:
     return values[0] if len(values) == 1 else float(rng.choice(values))
 
 
-def _label(view: PseudoView, drawn: _Drawn, kind: BoxKind) -> TaughtView:
-    boxes: list[Box2D] = []
-    objects: list[int] = []
+def _label(view: PseudoView, drawn: _Drawn, kind: BoxKind | None, target: int) -> TaughtView:
+    """Labels all objects, or without a kind the target only, with a box of each kind."""
     scene = drawn.scene
-    for index, (item, mask, total) in enumerate(zip(scene.objects, scene.masks, drawn.totals, strict=True)):
-        shown = mask & drawn.keep
-        if not is_shown(int(shown.sum()), total):
-            continue
-        box = _box_of(view, item, scene.frame.cloud.xyz_m[shown], kind, item.label)
-        if box is not None:
-            boxes.append(box)
-            objects.append(index)
-    return TaughtView(view, tuple(boxes), tuple(objects))
-
-
-def _label_target(view: PseudoView, drawn: _Drawn, index: int) -> TaughtView:
-    shown = drawn.scene.masks[index] & drawn.keep
-    if not is_shown(int(shown.sum()), drawn.totals[index]):
-        return TaughtView(view, (), ())
-    xyz, item = drawn.scene.frame.cloud.xyz_m[shown], drawn.scene.objects[index]
-    boxes = [_box_of(view, item, xyz, kind, label) for kind, label in AGNOSTIC_LABELS.items()]
-    known = tuple(box for box in boxes if box is not None)
-    return TaughtView(view, known, (index,) * len(known))
-
-
-def _box_of(view: PseudoView, item: TaughtObject, shown_m: np.ndarray, kind: BoxKind, label: str) -> Box2D | None:
-    return project_box(view, item.box, label) if kind is BoxKind.BOX else span_on_view(view, shown_m, label)
+    found: list[tuple[Box2D, int]] = []
+    for index in [target] if kind is None else range(len(scene.objects)):
+        item, shown = scene.objects[index], scene.masks[index] & drawn.keep
+        if is_shown(int(shown.sum()), drawn.totals[index]):
+            for each, label in AGNOSTIC_LABELS.items() if kind is None else [(kind, item.label)]:
+                whole = each is BoxKind.BOX
+                xyz_m = box_corners(item.box) if whole else scene.frame.cloud.xyz_m[shown]
+                box = span_on_view(view, xyz_m, label)
+                found += [] if box is None else [(box, index)]
+    return TaughtView(view, tuple(box for box, _ in found), tuple(index for _, index in found))
 
 
 def is_shown(points: int, total: int) -> bool:
@@ -318,10 +305,6 @@ def _near_crop(box: OrientedBox, up: np.ndarray | None, jitter: float, rng: np.r
     center = box.center_m + box.rotation @ (rng.normal(0, jitter / 2, 3) * box.size_m)
     size = box.size_m * (1 + jitter + rng.normal(0, jitter, 3)).clip(min(0.8, 1 - 2 * jitter), 1.5 + jitter)
     return OrientedBox.from_parts(center, turn @ box.rotation, size)
-
-
-def _near_turn(box: OrientedBox, up: np.ndarray | None, rng: np.random.Generator) -> np.ndarray:
-    return (_small_turn(NEAR_TURN_RAD, up, rng) @ box.rotation).T
 
 
 def _small_turn(sigma_rad: float, up: np.ndarray | None, rng: np.random.Generator) -> np.ndarray:

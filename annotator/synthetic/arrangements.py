@@ -7,29 +7,41 @@ cut off by the image border; some lie on their side or lean.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.synthetic.materials import (
-    HAIR_STYLES,
-    Lights,
-    Material,
-    Palette,
-    Pattern,
-    darker,
-    random_colour,
-    random_looks,
-    wood_colour,
-)
-from annotator.synthetic.mesh import Mesh, Parts, box_mesh, scaled, stretched, turn_z, xyz
-from annotator.synthetic.objects import grounded, random_object
-from annotator.synthetic.people import GESTURES, body_mesh, gesturing, walking
+from annotator.geometry.oriented_box import aligned_box
+from annotator.synthetic.materials import Lights, Material, Palette, random_colour, wood
+from annotator.synthetic.mesh import Mesh, Parts, box_mesh, turn, xyz
+from annotator.synthetic.objects import random_object
+from annotator.synthetic.people import random_person
+from annotator.types import OrientedBox
 
 LABEL = "object"
 TRIES = 30
+
+
+@dataclass(frozen=True, eq=False)
+class Actor:
+    """One labelled object at one moment.
+
+    Attributes:
+        track: track id within the recording, from 1.
+        mesh: the complete mesh, world frame.
+        axes: columns = axes of the object and its box in the world frame.
+    """
+
+    track: int
+    label: str
+    mesh: Mesh
+    axes: Float64[np.ndarray, "3 3"]
+
+    def box(self, T_camera_world: RigidTransform) -> OrientedBox:
+        """The tightest box along the actor's own axes around all its vertices, camera frame."""
+        return aligned_box(self.mesh.vertices.astype(np.float64), self.axes).transformed(T_camera_world)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +59,19 @@ class Placed:
     radius_m: float
     label: str = LABEL
 
+    @property
+    def top_m(self) -> Float64[np.ndarray, "3"]:
+        """The middle of its upper end, world frame."""
+        moved = self.mesh.moved(self.axes, self.origin_m).vertices.astype(np.float64)
+        low, high = moved.min(axis=0), moved.max(axis=0)
+        return np.array([*(low + high)[:2] / 2, high[2]])
+
+    def actor(self, track: int, yaw_rad: float = 0.0, shift_m: Float64[np.ndarray, "3"] | None = None) -> Actor:
+        """The object with a track id, turned about the vertical and shifted."""
+        axes = turn("z", yaw_rad) @ self.axes
+        origin_m = self.origin_m if shift_m is None else self.origin_m + shift_m
+        return Actor(track, self.label, self.mesh.moved(axes, origin_m).tracked(track), axes)
+
 
 @dataclass(eq=False)
 class Arrangement:
@@ -58,13 +83,17 @@ class Arrangement:
     T_world_camera: RigidTransform
     objects: list[Placed] = field(default_factory=list)
 
+    @property
+    def actors(self) -> tuple[Actor, ...]:
+        """The objects, with tracks from 1."""
+        return tuple(placed.actor(track) for track, placed in enumerate(self.objects, start=1))
+
 
 def table_top(random: np.random.Generator) -> Arrangement:
     """Objects of 4 to 40 cm on a table, seen from nearby."""
     palette = Palette()
     height, size = random.uniform(0.5, 1.0), random.uniform(0.7, 2.0, 2)
-    wood = palette.add(Material(wood_colour(random), darker(wood_colour(random)), Pattern.PLANKS, 0.3, 1, gloss=0.08))
-    cover = wood if random.random() < 0.5 else _plain(palette, random)
+    cover = palette.add(wood(random)) if random.random() < 0.5 else _plain(palette, random)
     still = [
         *_walls(palette, random, reach=random.uniform(1.5, 4.0)),
         box_mesh((0, 0, height - 0.02), (float(size[0]), float(size[1]), 0.04), cover),
@@ -76,7 +105,7 @@ def table_top(random: np.random.Generator) -> Arrangement:
     spread = min(0.5 * distance, 0.45 * float(size.min()))
     for _ in range(int(random.integers(2, 10))):
         longest = float(np.exp(random.uniform(np.log(0.04), np.log(0.4)))) * min(1.0, distance)
-        _place(scene, _thing(palette, random, longest), target[:2], spread, height, random)
+        _place(scene, random_object(palette, random).scaled(longest), target[:2], spread, height, random)
     return scene
 
 
@@ -95,7 +124,7 @@ def room(random: np.random.Generator) -> Arrangement:
     for _ in range(int(random.integers(2, 9))):
         person = random.random() < 0.25
         longest = float(np.exp(random.uniform(np.log(0.2), np.log(2.2))))
-        thing = _person(palette, random) if person else _thing(palette, random, longest)
+        thing = random_person(palette, random) if person else random_object(palette, random).scaled(longest)
         _place(scene, thing, target[:2], 0.3 + 0.6 * distance, 0.0, random, "person" if person else LABEL)
     return scene
 
@@ -112,12 +141,13 @@ def in_the_air(random: np.random.Generator) -> Arrangement:
     )
     distance = random.uniform(0.35, 1.3)
     if random.random() < 0.7:
-        behind = _person(palette, random)
+        behind = random_person(palette, random)
         place = np.array([random.uniform(-0.3, 0.3), distance + random.uniform(0.3, 0.6), eye[2] - 1.45])
-        scene.still.append(behind.moved(turn_z(-np.pi / 2 + random.uniform(-0.4, 0.4)), place))
+        scene.still.append(behind.moved(turn("z", -np.pi / 2 + random.uniform(-0.4, 0.4)), place))
     for _ in range(int(random.integers(1, 5))):
         longest = float(random.uniform(0.08, 0.6)) * min(1.0, 1.2 * distance)
-        mesh = _centred(_thing(palette, random, longest))
+        mesh = random_object(palette, random).scaled(longest)
+        mesh = mesh.moved(np.eye(3), xyz(0, 0, -float(mesh.vertices[:, 2].max()) / 2))
         axes = Rotation.random(rng=random).as_matrix()
         depth = distance * random.uniform(0.8, 1.4)
         at = eye + np.array([random.uniform(-0.4, 0.4) * depth, depth, random.uniform(-0.3, 0.25) * depth])
@@ -144,7 +174,7 @@ def street(random: np.random.Generator) -> Arrangement:
     eye = np.array([0.0, 0.0, random.uniform(1.2, 2.2)])
     asphalt = palette.add(Material((0.35, 0.35, 0.37), grain=0.1, grain_m=2.0))
     tilt = Rotation.from_euler("xy", random.normal(0, 0.012, 2)).as_matrix()
-    still = [box_mesh((0, 60, -0.25), (160, 160, 0.5), asphalt).moved(tilt, np.zeros(3))]
+    still = [box_mesh((0, 60, -0.25), (160, 160, 0.5), asphalt).moved(tilt)]
     for side in (-1.0, 1.0):
         edge = side * random.uniform(4, 18)
         if random.random() < 0.6:  # pavement
@@ -164,21 +194,21 @@ def street(random: np.random.Generator) -> Arrangement:
                     parts.ball(center, random.uniform(0.3, 1.2, 3), _plain(palette, random))
             still.append(parts.mesh())
     level = RigidTransform.from_components(eye, Rotation.from_matrix([[1, 0, 0], [0, 0, 1], [0, -1, 0]]))
-    turn = Rotation.from_euler("xyz", random.normal(0, 0.015, 3))
-    scene = Arrangement(palette, still, _lamp(random), level * RigidTransform.from_rotation(turn))
+    sway = Rotation.from_euler("xyz", random.normal(0, 0.015, 3))
+    scene = Arrangement(palette, still, _lamp(random), level * RigidTransform.from_rotation(sway))
     for _ in range(int(random.integers(4, 16))):
         depth = float(np.exp(random.uniform(np.log(3.5), np.log(60))))
         kind, label = random.random(), LABEL
         if kind < 0.35:
-            mesh = scaled(
-                random_object(palette, random, "vehicle"), random.uniform(3.2, 5.5) * random.choice([1, 1, 2])
-            )
+            longest = random.uniform(3.2, 5.5) * float(random.choice([1, 1, 2]))
+            mesh = random_object(palette, random, "vehicle").scaled(longest)
         elif kind < 0.55:
-            mesh = scaled(random_object(palette, random, "two_wheeler"), random.uniform(1.5, 2.2))
+            mesh = random_object(palette, random, "two_wheeler").scaled(random.uniform(1.5, 2.2))
         elif kind < 0.8:
-            mesh, label = _person(palette, random), "person"
+            mesh, label = random_person(palette, random), "person"
         else:
-            mesh = _thing(palette, random, float(np.exp(random.uniform(np.log(0.4), np.log(5)))))
+            mesh = random_object(palette, random)
+            mesh = mesh.scaled(float(np.exp(random.uniform(np.log(0.4), np.log(5)))))
         center = np.array([random.uniform(-0.7, 0.7) * depth, depth])
         _place(scene, mesh, center, 1.0, 0.0, random, label, along_street=kind < 0.55)
     return scene
@@ -198,19 +228,20 @@ def _place(
     along_street: bool = False,
 ) -> None:
     """Puts an object on the ground near `center`, or on or against another object; leaves it out without room."""
-    choice, turn = random.random(), np.eye(3)
+    choice, tilt = random.random(), np.eye(3)
     if label == LABEL and not along_street:
         if choice < 0.2:  # on its side
-            turn = Rotation.from_euler("xy"[int(random.integers(2))], np.pi / 2).as_matrix()
+            tilt = turn("xy"[int(random.integers(2))], np.pi / 2)
         elif choice < 0.32:  # tilted in any direction
-            turn = Rotation.random(rng=random).as_matrix()
-    yaw = turn_z(
+            tilt = Rotation.random(rng=random).as_matrix()
+    yaw = turn(
+        "z",
         random.choice([0.5, -0.5, 0.0]) * np.pi + random.normal(0, 0.25)
         if along_street
-        else random.uniform(0, 2 * np.pi)
+        else random.uniform(0, 2 * np.pi),
     )
-    axes = yaw @ turn
-    turned = mesh.moved(axes, np.zeros(3)).vertices.astype(np.float64)
+    axes = yaw @ tilt
+    turned = mesh.moved(axes).vertices.astype(np.float64)
     low, high = turned.min(axis=0), turned.max(axis=0)
     radius = 0.5 * float(np.hypot(*(high - low)[:2])) * 0.85
     middle = (low + high) / 2
@@ -219,7 +250,7 @@ def _place(
         if scene.objects and random.random() < 0.25:
             other = scene.objects[int(random.integers(len(scene.objects)))]
             if random.random() < 0.3 and radius < other.radius_m:  # on top
-                place, base = other.origin_m[:2], _top(other) - 0.002
+                place, base = other.origin_m[:2], float(other.top_m[2]) - 0.002
             else:  # in contact
                 angle = random.uniform(0, 2 * np.pi)
                 gap = (radius + other.radius_m) * random.uniform(0.75, 1.0)
@@ -229,38 +260,10 @@ def _place(
         if np.linalg.norm(place - camera[:2]) < radius + 0.15 and base + high[2] - low[2] > camera[2] - 0.3:
             continue
         if base > ground_m or all(
-            np.linalg.norm(place - _middle(other)) > 0.72 * (radius + other.radius_m) for other in scene.objects
+            np.linalg.norm(place - other.top_m[:2]) > 0.72 * (radius + other.radius_m) for other in scene.objects
         ):
             scene.objects.append(Placed(mesh, axes, origin, radius, label))
             return
-
-
-def _middle(placed: Placed) -> np.ndarray:
-    moved = placed.mesh.moved(placed.axes, placed.origin_m).vertices
-    return np.asarray((moved.min(axis=0) + moved.max(axis=0))[:2] / 2, np.float64)
-
-
-def _top(placed: Placed) -> float:
-    return float(placed.mesh.moved(placed.axes, placed.origin_m).vertices[:, 2].max())
-
-
-def _thing(palette: Palette, random: np.random.Generator, longest_m: float) -> Mesh:
-    return scaled(random_object(palette, random), longest_m)
-
-
-def _person(palette: Palette, random: np.random.Generator) -> Mesh:
-    looks = random_looks(palette, random, str(random.choice(HAIR_STYLES)))
-    if random.random() < 0.5:
-        pose = walking(random.uniform(0, 2 * np.pi), random.uniform(0, 1))
-    else:
-        pose = gesturing(int(random.integers(len(GESTURES))), random.uniform(0, 3))
-    # from slim to broad, in light or thick clothes
-    broad = np.array([random.uniform(0.9, 1.6), random.uniform(0.9, 1.3), 1.0])
-    return grounded(scaled(stretched(body_mesh(looks, pose, 0), broad), random.uniform(0.65, 1.05)))
-
-
-def _centred(mesh: Mesh) -> Mesh:
-    return mesh.moved(np.eye(3), np.array([0.0, 0.0, -float(mesh.vertices[:, 2].max()) / 2]))
 
 
 def _plain(palette: Palette, random: np.random.Generator) -> int:
@@ -274,7 +277,7 @@ def _walls(palette: Palette, random: np.random.Generator, reach: float) -> list[
     for yaw in np.arange(4) * np.pi / 2 + random.normal(0, 0.1):
         if random.random() < 0.75:
             wall = box_mesh((0, reach + 0.05, 1.4), (2 * reach + 2, 0.1, 2.8), _plain(palette, random))
-            meshes.append(wall.moved(turn_z(float(yaw)), np.zeros(3)))
+            meshes.append(wall.moved(turn("z", float(yaw))))
     return meshes
 
 
@@ -289,10 +292,5 @@ def _look_at(eye: np.ndarray, target: np.ndarray, random: np.random.Generator) -
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     axes = np.stack([right, np.cross(forward, right), forward], axis=1)
-    turn = Rotation.from_matrix(axes) * Rotation.from_euler("z", random.normal(0, 0.05))
-    return RigidTransform.from_components(eye, turn)
-
-
-def with_track(mesh: Mesh, track: int) -> Mesh:
-    """The mesh with a track id."""
-    return replace(mesh, track=np.full(len(mesh.vertices), track, np.int16))
+    rotation = Rotation.from_matrix(axes) * Rotation.from_euler("z", random.normal(0, 0.05))
+    return RigidTransform.from_components(eye, rotation)

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int16, Int32, UInt8, UInt16
+from jaxtyping import Bool, Float32, Int16, Int32, UInt8, UInt16
 from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.projection import project
-from annotator.synthetic.materials import Lights, Palette, Surface, lamp_points, shaded, softened, tone_mapped
-from annotator.synthetic.mesh import Mesh, joined
+from annotator.synthetic.materials import Lights, Palette, Surface, shaded
+from annotator.synthetic.mesh import Mesh
 from annotator.types import Camera
 
-# Shadow rays start slightly off their surface and end slightly before the lamp.
+# Shadow rays start slightly off their surface and end slightly before the lamp, shares of their length.
 SHADOW_NEAR = 2e-3
 
 
@@ -26,11 +26,13 @@ class Hits:
         t: (n,) multiples of the ray's direction; infinite without a hit.
         triangle: (n,) triangle index, -1 without a hit.
         uv: (n, 2) barycentric weights of the triangle's second and third corner.
+        normal: (n, 3) of the triangle, unit.
     """
 
     t: Float32[np.ndarray, "n"]
     triangle: Int32[np.ndarray, "n"]
     uv: Float32[np.ndarray, "n 2"]
+    normal: Float32[np.ndarray, "n 3"]
 
 
 class RayScene:
@@ -44,52 +46,37 @@ class RayScene:
         self._scene: Any = o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(self._tensor(vertices), self._tensor(triangles.astype(np.uint32)))
 
-    def first_hits(self, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]) -> Hits:
+    def first_hits(self, origins: Float32[np.ndarray, "*n 3"], directions: Float32[np.ndarray, "n 3"]) -> Hits:
         """The nearest triangle on each ray; triangles are hit from both sides."""
-        hits = self._scene.cast_rays(self._rays(origins, directions))
-        t = hits["t_hit"].numpy()
-        triangle = hits["primitive_ids"].numpy().astype(np.int32)
-        return Hits(t, np.where(np.isfinite(t), triangle, np.int32(-1)), hits["primitive_uvs"].numpy())
+        hits = {name: values.numpy() for name, values in self._scene.cast_rays(self._rays(origins, directions)).items()}
+        triangle = np.where(np.isfinite(hits["t_hit"]), hits["primitive_ids"].astype(np.int32), np.int32(-1))
+        return Hits(hits["t_hit"], triangle, hits["primitive_uvs"], hits["primitive_normals"])
 
-    def blocked(
-        self, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]
-    ) -> Bool[np.ndarray, "n"]:
-        """Which rays hit something between origin and origin + direction."""
-        rays = self._rays(origins, directions)
+    def lit(self, surface: Surface, lamp_m: tuple[float, float, float]) -> Bool[np.ndarray, "n"]:
+        """Which points nothing hides from a lamp."""
+        rays = self._rays(surface.position, np.array(lamp_m, np.float32) - surface.position)
         blocked: np.ndarray = self._scene.test_occlusions(rays, tnear=SHADOW_NEAR, tfar=1.0 - SHADOW_NEAR).numpy()
-        return blocked
+        return ~blocked
 
     def _rays(self, origins: np.ndarray, directions: np.ndarray) -> Any:
-        return self._tensor(np.concatenate([origins, directions], axis=1))
+        return self._tensor(np.concatenate([np.broadcast_to(origins, directions.shape), directions], axis=1))
 
 
-def silhouette(
-    camera: Camera, T_camera_world: RigidTransform, mesh: Mesh, border_px: int = 0
-) -> UInt8[np.ndarray, "h w"] | None:
-    """A mask of the pixels that `mesh` (world frame) covers without occlusion, accurate to a pixel.
-
-    A convex part covers the convex hull of its projected vertices.
-
-    Returns:
-        the mask (1 inside, 0 outside) with `border_px` additional pixels on every side; None if a part of the mesh is
-        beside or behind the camera.
-    """
-    import cv2
-
-    px = project(camera, T_camera_world.apply(mesh.vertices.astype(np.float64))) + border_px
-    if not np.isfinite(px).all():
-        return None
-    mask = np.zeros((camera.height_px + 2 * border_px, camera.width_px + 2 * border_px), np.uint8)
-    starts = np.flatnonzero(np.diff(mesh.parts, prepend=-1))
-    for part in np.split(np.rint(px).astype(np.int32), starts[1:]):
-        cv2.fillConvexPoly(mask, cv2.convexHull(part), 1)
-    return mask
-
-
-# Rays to the lamp start this far off their surface.
-LIFT_M = np.float32(2e-3)
-# Margin around the silhouettes of moving meshes within which rays are cast; silhouettes are accurate to a pixel.
-MARGIN_PX = 2
+def _surface(mesh: Mesh, hits: Hits, index: np.ndarray, origin: np.ndarray, directions: np.ndarray) -> Surface:
+    """The surface points that those rays hit whose indices are given."""
+    corners = mesh.triangles[hits.triangle[index]]
+    weights = np.concatenate([1 - hits.uv[index].sum(axis=1, keepdims=True), hits.uv[index]], axis=1)
+    view = directions[index] / np.linalg.norm(directions[index], axis=1, keepdims=True)
+    facing = -(hits.normal[index] * view).sum(axis=1)
+    return Surface(
+        origin + hits.t[index, None] * directions[index],
+        # towards the camera, since thin sheets are visible from both sides
+        hits.normal[index] * np.where(facing < 0, np.float32(-1), np.float32(1))[:, None],
+        np.abs(facing),
+        np.einsum("nk,nkj->nj", weights, mesh.texture[corners]),
+        mesh.material[corners[:, 0]],
+        mesh.track[corners[:, 0]],
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,140 +96,49 @@ class Rendering:
     facing: Float32[np.ndarray, "h w"]
 
 
-@dataclass(frozen=True, eq=False)
-class _Layer:
-    """The n pixels of an image, row by row, without the shadows that moving meshes cast.
-
-    Attributes:
-        depth_m: (n,) 0 without a surface.
-        base, key: (n, 3) linear colour without the lamp, and the lamp's contribution if it is visible.
-        start, to_lamp: (n, 3) the ray from just above the surface to the lamp, world frame.
-        lit: (n,) True if no static mesh blocks this ray.
-        facing, track: as in `Rendering`.
-    """
-
-    depth_m: Float32[np.ndarray, "n"]
-    base: Float32[np.ndarray, "n 3"]
-    key: Float32[np.ndarray, "n 3"]
-    start: Float32[np.ndarray, "n 3"]
-    to_lamp: Float32[np.ndarray, "n 3"]
-    lit: Bool[np.ndarray, "n"]
-    facing: Float32[np.ndarray, "n"]
-    track: Int16[np.ndarray, "n"]
-
-    @classmethod
-    def empty(cls, n: int) -> _Layer:
-        """A layer without surfaces."""
-        base, key, start, to_lamp = np.zeros((4, n, 3), np.float32)
-        depth_m, facing = np.zeros((2, n), np.float32)
-        return cls(depth_m, base, key, start, to_lamp, np.zeros(n, bool), facing, np.zeros(n, np.int16))
-
-    def copy(self) -> _Layer:
-        """A deep copy."""
-        return _Layer(**{name: values.copy() for name, values in vars(self).items()})
-
-
-class Stage:
-    """A camera and the static part of its scene; moving meshes are drawn onto it for each image.
-
-    The static part is cast and shaded once. For each image, rays are cast only around the moving meshes, and shadows
-    are tested only against them.
-    """
-
-    def __init__(
-        self, camera: Camera, T_world_camera: RigidTransform, still: Mesh, palette: Palette, lights: Lights
-    ) -> None:
-        """
-        Args:
-            camera: without distortion.
-            still: the static mesh, world frame.
-        """
-        self.camera, self._palette, self._lights = camera, palette, lights
-        self._T_camera_world = T_world_camera.inv()
-        self._origin = T_world_camera.translation.astype(np.float32)
-        self._directions = _directions(camera, T_world_camera)
-        self._scene = RayScene(still.vertices, still.triangles)
-        self._backdrop = _Layer.empty(len(self._directions))
-        self._draw(self._backdrop, self._scene, still, np.arange(len(self._directions)))
-
-    def render(self, moving: list[Mesh]) -> Rendering:
-        """The image with the given moving meshes (world frame)."""
-        mesh = joined(moving)
-        scene = RayScene(mesh.vertices, mesh.triangles)
-        layer = self._backdrop.copy()
-        region = np.logical_or.reduce([self._surroundings(each) for each in moving])
-        self._draw(layer, scene, mesh, np.flatnonzero(region))
-        lit = np.flatnonzero(layer.lit)
-        layer.lit[lit] = ~scene.blocked(layer.start[lit], layer.to_lamp[lit])
-        return self._rendering(layer)
-
-    def _draw(self, layer: _Layer, scene: RayScene, mesh: Mesh, pixels: np.ndarray) -> None:
-        """Draws `mesh` at those `pixels` where it is nearer than the surfaces drawn before."""
-        directions = self._directions[pixels]
-        hits = scene.first_hits(np.broadcast_to(self._origin, directions.shape), directions)
-        drawn = layer.depth_m[pixels]
-        nearer = np.flatnonzero((hits.triangle >= 0) & ((drawn == 0) | (hits.t < drawn)))
-        at, t = pixels[nearer], hits.t[nearer]
-        surface = surface_at(mesh, hits.triangle[nearer], hits.uv[nearer], self._origin, t, directions[nearer])
-        layer.depth_m[at] = t
-        layer.facing[at] = np.abs((surface.normal * surface.view).sum(axis=1))
-        layer.track[at] = mesh.track[mesh.triangles[hits.triangle[nearer], 0]]
-        layer.start[at] = surface.position + LIFT_M * surface.normal
-        layer.to_lamp[at] = lamp_points(self._lights, at, self.camera.width_px) - layer.start[at]
-        layer.base[at], layer.key[at] = shaded(self._palette, surface, self._lights)
-        layer.lit[at] = ~self._scene.blocked(layer.start[at], layer.to_lamp[at])
-
-    def _surroundings(self, mesh: Mesh) -> Bool[np.ndarray, "n"]:
-        """The pixels at which a mesh may be visible; all pixels if it extends behind the camera."""
-        import cv2
-
-        outline = silhouette(self.camera, self._T_camera_world, mesh)
-        if outline is None:
-            return np.ones(self.camera.width_px * self.camera.height_px, bool)
-        return np.asarray(cv2.dilate(outline, np.ones((2 * MARGIN_PX + 1,) * 2, np.uint8)).ravel() > 0)
-
-    def _rendering(self, layer: _Layer) -> Rendering:
-        shape = (self.camera.height_px, self.camera.width_px)
-        depth = layer.depth_m.reshape(shape)
-        lit = softened(layer.lit.reshape(shape).astype(np.float32), depth)
-        rgb = tone_mapped(layer.base + layer.key * lit.reshape(-1, 1))
-        return Rendering(rgb.reshape(*shape, 3), depth, layer.track.reshape(shape), layer.facing.reshape(shape))
-
-
-def _directions(camera: Camera, T_world_camera: RigidTransform) -> Float32[np.ndarray, "n 3"]:
-    """The rays through all pixel centres, scaled to z = 1 in the camera frame, so that t is the depth."""
-    v, u = np.mgrid[: camera.height_px, : camera.width_px]
-    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
-    rotation: Float64[np.ndarray, "3 3"] = T_world_camera.rotation.as_matrix()
-    return (rays.reshape(-1, 3) @ rotation.T).astype(np.float32)
-
-
-def surface_at(
-    mesh: Mesh, triangle: np.ndarray, uv: np.ndarray, origin: np.ndarray, t: np.ndarray, directions: np.ndarray
-) -> Surface:
-    """The surface points that rays hit, from triangle indices, barycentric weights (n, 2) and t along each ray."""
-    corners = mesh.triangles[triangle]
-    weights = np.concatenate([1 - uv.sum(axis=1, keepdims=True), uv], axis=1)
-    normal = _blend(mesh.normals, corners, weights)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    view = -directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    # flipped towards the camera, since thin sheets are visible from both sides
-    normal *= np.where((normal * view).sum(axis=1) < 0, np.float32(-1), np.float32(1))[:, None]
-    return Surface(
-        origin + t[:, None] * directions,
-        normal,
-        _blend(mesh.texture, corners, weights),
-        mesh.material[corners[:, 0]],
-        view,
+def render(camera: Camera, T_world_camera: RigidTransform, mesh: Mesh, palette: Palette, lights: Lights) -> Rendering:
+    """The ideal image of a scene, given as one mesh in the world frame; the camera has no distortion."""
+    shape = (camera.height_px, camera.width_px)
+    origin, directions = _rays(camera, T_world_camera, np.zeros(2, int), np.array(shape[::-1]))
+    scene = RayScene(mesh.vertices, mesh.triangles)
+    hits = scene.first_hits(origin, directions)
+    index = np.flatnonzero(hits.triangle >= 0)
+    surface = _surface(mesh, hits, index, origin, directions)
+    colours = shaded(
+        palette.albedo(surface.material, surface.texture), surface, lights, scene.lit(surface, lights.lamp_m)
     )
 
+    def image(values: np.ndarray) -> np.ndarray:
+        whole = np.zeros((shape[0] * shape[1], *values.shape[1:]), values.dtype)
+        whole[index] = values
+        return whole.reshape(*shape, *values.shape[1:])
 
-def _blend(values: np.ndarray, corners: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Vertex values interpolated at points inside triangles."""
-    blended: np.ndarray = weights[:, :1] * values[corners[:, 0]]
-    for k in (1, 2):
-        blended += weights[:, k : k + 1] * values[corners[:, k]]
-    return blended
+    return Rendering(image(colours), image(hits.t[index]), image(surface.track), image(surface.facing))
+
+
+def _rays(
+    camera: Camera, T_world_camera: RigidTransform, low_px: np.ndarray, high_px: np.ndarray
+) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, "n 3"]]:
+    """The camera's position, and rays through the centres of pixels, row by row; z = 1 in the camera frame, so that t
+    is the depth."""
+    v, u = np.mgrid[low_px[1] : high_px[1], low_px[0] : high_px[0]]
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
+    directions = T_world_camera.rotation.apply(rays.reshape(-1, 3)).astype(np.float32)
+    return T_world_camera.translation.astype(np.float32), directions
+
+
+def whole_px(camera: Camera, T_world_camera: RigidTransform, mesh: Mesh) -> int:
+    """The number of pixels that a mesh covers without occlusion on an image extended by half its longer side.
+
+    All pixels of the image if a part of the mesh is beside or behind the camera.
+    """
+    px = project(camera, T_world_camera.inv().apply(mesh.vertices.astype(np.float64)))
+    size = np.array([camera.width_px, camera.height_px])
+    if not np.isfinite(px).all():
+        return int(size.prod())
+    low, high = (np.clip(ends, -size.max() // 2, size + size.max() // 2) for ends in (px.min(axis=0), px.max(axis=0)))
+    rays = _rays(camera, T_world_camera, np.floor(low).astype(int), np.ceil(high).astype(int) + 1)
+    return int((RayScene(mesh.vertices, mesh.triangles).first_hits(*rays).triangle >= 0).sum())
 
 
 @dataclass(frozen=True)
@@ -272,13 +168,13 @@ class LidarPoints:
 
     Attributes:
         xyz_m: (n, 3) world frame.
-        rgb: (n, 3) colours, 0..255, as a camera would see them.
+        rgb: (n, 3) colours as a camera would see them.
         reflectance: (n,) 0..1.
         track: (n,) track id of the labelled object, 0 elsewhere.
     """
 
     xyz_m: Float32[np.ndarray, "n 3"]
-    rgb: Float32[np.ndarray, "n 3"]
+    rgb: UInt8[np.ndarray, "n 3"]
     reflectance: Float32[np.ndarray, "n"]
     track: Int16[np.ndarray, "n"]
 
@@ -318,20 +214,19 @@ def scan(
     rays = np.stack([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)], axis=1)
     directions = T_world_lidar.rotation.apply(rays).astype(np.float32)
     origin = T_world_lidar.translation.astype(np.float32)
-    hits = RayScene(mesh.vertices, mesh.triangles).first_hits(np.broadcast_to(origin, directions.shape), directions)
+    scene = RayScene(mesh.vertices, mesh.triangles)
+    hits = scene.first_hits(origin, directions)
     kept = (hits.triangle >= 0) & (hits.t > lidar.nearest_m) & (hits.t < lidar.farthest_m)
     index = np.flatnonzero(kept & (random.random(len(directions)) >= lidar.dropout))
-    surface = surface_at(mesh, hits.triangle[index], hits.uv[index], origin, hits.t[index], directions[index])
-    base, key = shaded(palette, surface, lights)
-    facing = np.abs((surface.normal * surface.view).sum(axis=1))
-    albedo = palette.albedo(surface.material, surface.texture).mean(axis=1)
-    reflectance = np.clip(albedo * (0.3 + 0.7 * facing) + random.normal(0, 0.04, len(index)), 0, 1)
+    surface = _surface(mesh, hits, index, origin, directions)
+    albedo = palette.albedo(surface.material, surface.texture)
+    reflectance = np.clip(albedo.mean(axis=1) * (0.3 + 0.7 * surface.facing) + random.normal(0, 0.04, len(index)), 0, 1)
     distance = hits.t[index] + random.normal(0, lidar.noise_m, len(index)).astype(np.float32)
     return LidarPoints(
         origin + distance[:, None] * directions[index],
-        tone_mapped(base + key * np.float32(0.8)).astype(np.float32),
+        shaded(albedo, surface, lights, scene.lit(surface, lights.lamp_m)),
         reflectance.astype(np.float32),
-        mesh.track[mesh.triangles[hits.triangle[index], 0]],
+        surface.track,
     )
 
 
@@ -342,78 +237,55 @@ def scan(
 # pixels, and is rounded to whole millimetres.
 
 
+# Below this cosine between normal and ray, depth is increasingly often missing.
+GRAZING_COS = 0.17
+# Relative depth step between neighbours that counts as an edge.
+EDGE_STEP = 0.02
+# Blur of the colour image, and standard deviation of its colours, 0..255.
+BLUR_PX, COLOUR_NOISE = 0.55, 2.2
+
+
 @dataclass(frozen=True)
 class Sensor:
-    """The imperfections of the two cameras.
+    """The imperfections of the depth camera.
 
     Attributes:
         noise_floor_m, noise_per_m2: standard deviation of depth = floor + per_m2 * z^2.
         nearest_m, farthest_m: range of depth measurements.
-        grazing_cos: below this cosine between normal and ray, depth is increasingly often missing.
-        edge_step: relative depth step between neighbours that counts as an edge.
         edge_loss: share of edge pixels that lose their depth.
-        dropout: share of all pixels that lose their depth, in small clusters.
-        blur_px: blur of the colour image.
-        colour_noise: standard deviation of the colours, 0..255.
+        dropout: share of all pixels that lose their depth.
     """
 
     noise_floor_m: float = 0.0008
     noise_per_m2: float = 0.0009
     nearest_m: float = 0.25
     farthest_m: float = 8.0
-    grazing_cos: float = 0.17
-    edge_step: float = 0.02
     edge_loss: float = 0.55
     dropout: float = 0.004
-    blur_px: float = 0.55
-    colour_noise: float = 2.2
 
 
 def depth_image(ideal: Rendering, sensor: Sensor, random: np.random.Generator) -> UInt16[np.ndarray, "h w"]:
     """The measured depth in millimetres; 0 = no measurement."""
+    import cv2
+
     z = ideal.depth_m
     sigma = np.float32(sensor.noise_floor_m) + np.float32(sensor.noise_per_m2) * z * z
-    measured = z + sigma * _correlated_noise(z.shape, random)
-    lost = (z < sensor.nearest_m) | (z > sensor.farthest_m)
-    lost |= random.random(z.shape, np.float32) > ideal.facing / np.float32(sensor.grazing_cos)
-    lost |= _edges(z, sensor.edge_step) & (random.random(z.shape, np.float32) < sensor.edge_loss)
-    lost |= _clusters(z.shape, sensor.dropout, random)
-    return np.where(lost, 0, np.rint(measured * 1000)).clip(0, 65535).astype(np.uint16)
-
-
-def colour_image(ideal: Rendering, sensor: Sensor, random: np.random.Generator) -> UInt8[np.ndarray, "h w 3"]:
-    """The colour camera's image, with blur, vignetting and noise."""
-    import cv2
-
-    blurred = cv2.GaussianBlur(ideal.rgb, (0, 0), sensor.blur_px).astype(np.float32)
-    height, width = blurred.shape[:2]
-    x, y = np.linspace(-1, 1, width, dtype=np.float32), np.linspace(-1, 1, height, dtype=np.float32)
-    blurred *= (1 - 0.08 * (x**2 + y[:, None] ** 2))[:, :, None]
-    blurred += np.float32(sensor.colour_noise) * random.standard_normal((height, width, 1), np.float32)
-    blurred += np.float32(0.5 * sensor.colour_noise) * random.standard_normal(blurred.shape, np.float32)
-    return np.clip(blurred + 0.5, 0, 255).astype(np.uint8)
-
-
-def _correlated_noise(shape: tuple[int, ...], random: np.random.Generator) -> Float32[np.ndarray, "h w"]:
-    """Unit noise with half of its variance correlated between neighbours, since depth is measured over windows."""
-    import cv2
-
-    independent = random.standard_normal(shape, np.float32)
-    # a Gaussian of 1.2 px divides the deviation of white noise by 2 sqrt(pi) 1.2
-    shared = cv2.GaussianBlur(random.standard_normal(shape, np.float32), (0, 0), 1.2) * np.float32(2 * np.pi**0.5 * 1.2)
-    return np.asarray((independent + shared) * np.float32(0.5**0.5))
-
-
-def _edges(z: np.ndarray, step: float) -> np.ndarray:
-    """Pixels next to a jump in depth."""
-    import cv2
-
+    # Half of the variance is shared by neighbours, since depth is measured over windows. A Gaussian of 1.2 px divides
+    # the deviation of white noise by 2 sqrt(pi) 1.2.
+    white, coarse = random.standard_normal((2, *z.shape), np.float32)
+    noise = (white + cv2.GaussianBlur(coarse, (0, 0), 1.2) * np.float32(2 * np.pi**0.5 * 1.2)) / np.float32(2**0.5)
     kernel = np.ones((3, 3), np.uint8)
-    return np.asarray(cv2.dilate(z, kernel) - cv2.erode(z, kernel) > step * z)
+    is_edge = cv2.dilate(z, kernel) - cv2.erode(z, kernel) > EDGE_STEP * z
+    grazing, at_edge, anywhere = random.random((3, *z.shape), np.float32)
+    lost = (z < sensor.nearest_m) | (z > sensor.farthest_m) | (grazing > ideal.facing / np.float32(GRAZING_COS))
+    lost |= (is_edge & (at_edge < sensor.edge_loss)) | (anywhere < sensor.dropout)
+    return np.where(lost, 0, np.rint((z + sigma * noise) * 1000)).clip(0, 65535).astype(np.uint16)
 
 
-def _clusters(shape: tuple[int, ...], share: float, random: np.random.Generator) -> np.ndarray:
-    """A random share of the pixels, in clusters of 2 x 2."""
-    height, width = shape
-    clusters = random.random(((height + 1) // 2, (width + 1) // 2), np.float32) < share
-    return np.repeat(np.repeat(clusters, 2, axis=0), 2, axis=1)[:height, :width]
+def colour_image(ideal: Rendering, random: np.random.Generator) -> UInt8[np.ndarray, "h w 3"]:
+    """The colour camera's image, with blur and noise."""
+    import cv2
+
+    blurred = cv2.GaussianBlur(ideal.rgb, (0, 0), BLUR_PX).astype(np.float32)
+    blurred += np.float32(COLOUR_NOISE) * random.standard_normal(blurred.shape, np.float32)
+    return np.clip(blurred + 0.5, 0, 255).astype(np.uint8)

@@ -1,129 +1,47 @@
 """Generated scenes, and their presets: people in a furnished room, the hands of a person, and moving objects.
 
-World frame of the room: z up, origin on the floor at the camera's end, y into the room. The side of the table, the
-colours and the books on the shelf depend on the seed.
+World frame of the room: z up, origin on the floor at the camera's end, y into the room.
 """
 
 from __future__ import annotations
 
-import colorsys
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.synthetic.arrangements import LABEL, Arrangement, Placed, room, table_top, with_track
-from annotator.synthetic.crowd import Zone, crowd_moments
-from annotator.synthetic.hands import HandMotion, Reach, elbow_m, hand_mesh, hand_moments
-from annotator.synthetic.materials import (
-    HAIR_STYLES,
-    Lights,
+from annotator.synthetic.arrangements import Actor, Arrangement, Placed, room, table_top
+from annotator.synthetic.hands import hand_mesh, moving
+from annotator.synthetic.materials import Lights, Material, Palette, random_colour, wood
+from annotator.synthetic.mesh import Mesh, Parts, box_mesh, joined, turn, xyz
+from annotator.synthetic.objects import random_object
+from annotator.synthetic.people import (
+    PERIOD_S,
     Looks,
-    Material,
-    Palette,
-    Pattern,
-    darker,
+    arm,
+    armless_body,
+    body_mesh,
+    pacing,
+    posture,
     random_looks,
-    wood_colour,
+    shoulder,
 )
-from annotator.synthetic.mesh import Mesh, Parts, box_mesh, joined, turn_z
-from annotator.synthetic.objects import (
-    FAR_Y_M,
-    HALF_WIDTH_M,
-    HEIGHT_M,
-    NEAR_Y_M,
-    Footprint,
-    cardboard,
-    floor_lamp,
-    pictures,
-    plant,
-    rug,
-    shelf,
-    sofa,
-    table_group,
-    window,
+
+# Middle and size of floor, ceiling, far and near wall, and side walls of the room, metres.
+SHELL = (
+    ((0, 2.2, -0.05), (6.2, 6.8, 0.1)),
+    ((0, 2.2, 2.75), (6.2, 6.8, 0.1)),
+    ((0, 5.65, 1.35), (6.2, 0.1, 2.7)),
+    ((0, -1.25, 1.35), (6.2, 0.1, 2.7)),
+    ((-3.15, 2.2, 1.35), (0.1, 6.8, 2.7)),
+    ((3.15, 2.2, 1.35), (0.1, 6.8, 2.7)),
 )
-from annotator.synthetic.people import Arm, Pose, armless_body, body_mesh, posed_arm, shoulder, sleeved_arm
-
-
-@dataclass(frozen=True, eq=False)
-class Room:
-    """The static part of a scene.
-
-    Attributes:
-        mesh: room and furniture, world frame.
-    """
-
-    mesh: Mesh
-    obstacles: tuple[Footprint, ...]
-    lights: Lights
-
-
-def furnished_room(palette: Palette, random: np.random.Generator) -> Room:
-    """A living room with a table and chairs on one side, a sofa and a shelf at the far wall, and cardboard boxes."""
-    side = 1.0 if random.random() < 0.5 else -1.0
-    wood = palette.add(Material(wood_colour(random), darker(wood_colour(random)), Pattern.PLANKS, 0.3, 1, gloss=0.08))
-    meshes = [_shell(palette, random)]
-    obstacles: list[Footprint] = []
-    for mesh, footprint in (
-        table_group(palette, random, wood, side),
-        sofa(palette, random, -side),
-        shelf(palette, random, wood, -side),
-        cardboard(palette, random, -side),
-        plant(palette, random, side),
-        floor_lamp(palette, side),
-    ):
-        meshes.append(mesh)
-        obstacles.append(footprint)
-    meshes += [pictures(palette, random, -side), window(palette, side), rug(palette, random)]
-    lights = Lights((0.5 * side, 2.1, HEIGHT_M - 0.12))
-    return Room(joined(meshes), tuple(obstacles), lights)
-
-
-def _shell(palette: Palette, random: np.random.Generator) -> Mesh:
-    """Floor, walls, ceiling, skirting boards."""
-    floor_colour = wood_colour(random)
-    floor = palette.add(Material(floor_colour, darker(floor_colour, 0.55), Pattern.PLANKS, 0.14, 0, gloss=0.1))
-    tint = colorsys.hsv_to_rgb(random.random(), random.uniform(0.05, 0.2), random.uniform(0.78, 0.9))
-    wall = palette.add(Material(tint, grain=0.025, grain_m=0.8))
-    accent = palette.add(Material(darker(tint, random.uniform(0.65, 0.9)), grain=0.03, grain_m=0.8))
-    white = palette.add(Material((0.92, 0.92, 0.9), grain=0.02))
-    length, middle = FAR_Y_M - NEAR_Y_M, (FAR_Y_M + NEAR_Y_M) / 2
-    up = HEIGHT_M / 2
-    meshes = [
-        box_mesh((0, middle, -0.05), (2 * HALF_WIDTH_M, length, 0.1), floor),
-        box_mesh((0, middle, HEIGHT_M + 0.05), (2 * HALF_WIDTH_M, length, 0.1), white),
-        box_mesh((0, FAR_Y_M + 0.05, up), (2 * HALF_WIDTH_M, 0.1, HEIGHT_M), accent),
-        box_mesh((0, FAR_Y_M - 0.01, 0.05), (2 * HALF_WIDTH_M, 0.02, 0.1), white),
-        box_mesh((0, NEAR_Y_M - 0.05, up), (2 * HALF_WIDTH_M, 0.1, HEIGHT_M), wall),
-    ]
-    for x in (-HALF_WIDTH_M, HALF_WIDTH_M):
-        outward = np.sign(x)
-        meshes.append(box_mesh((x + 0.05 * outward, middle, up), (0.1, length, HEIGHT_M), wall))
-        meshes.append(box_mesh((x - 0.01 * outward, middle, 0.05), (0.02, length, 0.1), white))
-    return joined(meshes)
-
-
-PERIOD_S = 0.1
-UPPER_ARM_M, FOREARM_M = 0.31, 0.26
-
-
-@dataclass(frozen=True, eq=False)
-class Actor:
-    """One labelled object at one moment.
-
-    Attributes:
-        track: track id within the recording, from 1.
-        mesh: the complete mesh, world frame.
-        axes: columns = axes of the object and its box in the world frame.
-    """
-
-    track: int
-    label: str
-    mesh: Mesh
-    axes: Float64[np.ndarray, "3 3"]
+# Places (x, y) of the furniture along its walls, and the range of its longest side, metres.
+PLACES = ((-2.5, 5.0), (-1.0, 5.2), (0.6, 5.2), (2.3, 5.0), (-2.6, 3.4), (2.6, 3.4))
+FURNITURE_M = (0.6, 1.2)
+# Depths between which people pace, and their reach to the sides: share of the depth, and a margin, metres.
+NEAR_M, FAR_M, SIDEWAYS, MARGIN_M = 2.6, 4.4, 0.5, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +49,7 @@ class Moment:
     """The moving meshes at one moment: labelled actors and unlabelled meshes."""
 
     actors: tuple[Actor, ...]
-    rest: tuple[Mesh, ...]
+    rest: tuple[Mesh, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,96 +67,96 @@ class Scene:
     moments: Iterator[Moment]
 
 
+def _furnished_room(palette: Palette, random: np.random.Generator) -> Mesh:
+    walls = palette.add(Material(random_colour(random, 0.12, 0.85), grain=0.03, grain_m=0.8))
+    surfaces = [palette.add(wood(random)), *[walls] * (len(SHELL) - 1)]
+    shell = [box_mesh(*place, surface) for place, surface in zip(SHELL, surfaces, strict=True)]
+    things = [random_object(palette, random).scaled(random.uniform(*FURNITURE_M)) for _ in PLACES]
+    turns = [turn("z", float(random.uniform(0, 2 * np.pi))) for _ in PLACES]
+    placed = zip(things, turns, PLACES, strict=True)
+    return joined([*shell, *(thing.moved(yaw, xyz(x, y, 0)) for thing, yaw, (x, y) in placed)])
+
+
 def people_scene(random: np.random.Generator) -> Scene:
-    """Three or four people in a furnished room."""
+    """Three or four people in a furnished room, who pace at different depths, turn and gesture."""
     palette = Palette()
-    room = furnished_room(palette, random)
-    styles = random.permutation(HAIR_STYLES)
-    looks = [random_looks(palette, random, str(style)) for style in styles[: int(random.integers(3, 5))]]
-    zone = Zone(2.45, 4.5, 0.5, 0.3, room.obstacles)
-    pose = _camera_pose(np.array([0.0, 0.0, random.uniform(1.5, 1.8)]), pitch=-0.2, roll=random.uniform(-0.03, 0.03))
-    return Scene(palette, room.mesh, room.lights, pose, _people(zone, looks, random))
+    depths = np.linspace(NEAR_M, FAR_M, 3 if random.random() < 0.5 else 4)
+    still = _furnished_room(palette, random.spawn(1)[0])
+    looks = [random_looks(palette, random) for _ in depths]
+    # side by side at first
+    places = np.linspace(-0.8, 0.8, len(depths))
+    walks = [
+        pacing(float(x), float(y), float(SIDEWAYS * y - MARGIN_M), random)
+        for x, y in zip(places, random.permutation(depths), strict=True)
+    ]
+    pose = _camera_pose(xyz(0, 0, random.uniform(1.5, 1.8)), pitch=-0.2, roll=random.uniform(-0.03, 0.03))
+
+    def moments() -> Iterator[Moment]:
+        for walkers in zip(*walks, strict=True):
+            actors = []
+            for track, (walker, person) in enumerate(zip(walkers, looks, strict=True), start=1):
+                axes = turn("z", walker.yaw)
+                mesh = (
+                    body_mesh(person, walker.pose).moved(axes, xyz(walker.place[0], walker.place[1], 0)).tracked(track)
+                )
+                actors.append(Actor(track, "person", mesh, axes))
+            yield Moment(tuple(actors))
+
+    return Scene(palette, still, Lights((0.5, 2.1, 2.6)), pose, moments())
 
 
 def hands_scene(random: np.random.Generator) -> Scene:
-    """One or two gesturing hands of a person who faces the camera."""
-    palette = Palette()
-    room = furnished_room(palette, random)
-    looks = random_looks(palette, random, str(random.choice(HAIR_STYLES)))
-    skin = palette.materials[looks.skin]
-    nail = palette.add(Material(_paler(skin.colour), gloss=0.25, grain=0.02))
-    camera = np.array([0.0, 1.0, random.uniform(1.2, 1.3)])
+    """One or two gesturing hands of a person who stands 0.95 m in front of the camera and faces it."""
+    palette, both = Palette(), random.random() < 0.6
+    still = _furnished_room(palette, random.spawn(1)[0])
+    looks = random_looks(palette, random)
+    camera = xyz(0, 1, random.uniform(1.2, 1.3))
     pose = _camera_pose(camera, pitch=random.uniform(-0.12, 0.0), roll=random.uniform(-0.03, 0.03))
     lights = Lights((random.uniform(-0.9, 0.9), 0.9, 2.5), key=0.8)
-    both = random.random() < 0.6
-    return Scene(palette, room.mesh, lights, pose, _hands(looks, nail, camera, both, random))
+    # from the image's left to its right: the right hand, then the left; they do not touch
+    spans = {1.0: (-0.22, -0.08), -1.0: (0.08, 0.22)} if both else {1.0: (-0.16, 0.08)}
+    return Scene(palette, still, lights, pose, _hands(looks, camera, spans, random))
 
 
-def _people(zone: Zone, looks: list[Looks], random: np.random.Generator) -> Iterator[Moment]:
-    for walkers in crowd_moments(zone, len(looks), random, PERIOD_S):
-        actors = []
-        for track, (walker, person) in enumerate(zip(walkers, looks, strict=True), start=1):
-            axes = turn_z(walker.yaw)
-            mesh = body_mesh(person, walker.pose, track).moved(axes, np.array([*walker.place, 0.0]))
-            actors.append(Actor(track, "person", mesh, axes))
-        yield Moment(tuple(actors), ())
-
-
-def _hands(looks: Looks, nail: int, camera: np.ndarray, both: bool, random: np.random.Generator) -> Iterator[Moment]:
-    """The person stands 0.95 m in front of the camera and faces it, so their left is on the image's right, world +x."""
-    stand = np.array([0.0, camera[1] + 0.95, 0.0])
-    height = (camera[2] - 0.17, camera[2] + 0.05)
-    depth = (camera[1] + 0.48, camera[1] + 0.68)
-    sides = [1.0, -1.0] if both else [1.0]
-    # from the image's left to its right: the right hand, then the left
-    spans = {1.0: (-0.17, -0.02), -1.0: (0.02, 0.17)} if both else {1.0: (-0.16, 0.08)}
-    reaches = [Reach(spans[side], depth, height) for side in sides]
-    size = random.uniform(0.9, 1.06)
-    turned = turn_z(-np.pi / 2)
+def _hands(
+    looks: Looks, camera: np.ndarray, spans: dict[float, tuple[float, float]], random: np.random.Generator
+) -> Iterator[Moment]:
+    """`spans`: where each wrist may be along x, metres; +1 is the right hand, on the image's left."""
+    limits = {
+        side: (
+            np.array([low, camera[1] + 0.48, camera[2] - 0.17, -2.4, -1.0, -0.35]),
+            np.array([high, camera[1] + 0.68, camera[2] + 0.05, 2.4, 1.1, 0.35]),
+        )
+        for side, (low, high) in spans.items()
+    }
+    states = [moving(*limits[side], random) for side in spans]
+    size, turned = random.uniform(0.9, 1.06), turn("z", -np.pi / 2)
     # tall and short people have their shoulders at the same height on the image
-    lift = np.array([0.0, 0.0, camera[2] - 0.12 - 0.775 * looks.height_m])
-    for i, motions in enumerate(hand_moments(reaches, random, PERIOD_S)):
-        sway = Pose(twist=0.06 * np.sin(0.11 * i), lean=0.02 * np.sin(0.07 * i), head_turn=0.2 * np.sin(0.05 * i))
-        body = Parts()
+    place = camera + xyz(0, 0.95, -0.12 - 0.775 * looks.height_m)
+    for i, hands in enumerate(zip(*states, strict=True)):
+        sway = posture(0.02 * np.sin(0.07 * i), 0.06 * np.sin(0.11 * i), (0.2 * np.sin(0.05 * i), 0.0))
+        body, arms, actors = Parts(), Parts(), []
         armless_body(body, looks, sway)
-        if not both:
-            posed_arm(body, looks, shoulder(looks, sway, 1.0), np.eye(3), Arm(), 1.0)
-        rest, actors = [body.mesh().moved(turned, stand + lift)], []
-        for track, (motion, side) in enumerate(zip(motions, sides, strict=True), start=1):
-            start = turned @ shoulder(looks, sway, -side) + stand + lift
-            forearm, axes = _arm(motion, start, looks, side)
-            rest.append(forearm)
-            mesh = hand_mesh(motion.fingers, size, looks.skin, nail, track, left=side < 0)
-            actors.append(Actor(track, "hand", mesh.moved(axes, motion.wrist_m), axes))
-        yield Moment(tuple(actors), tuple(rest))
-
-
-def _arm(motion: HandMotion, start: np.ndarray, looks: Looks, side: float) -> tuple[Mesh, np.ndarray]:
-    """The arm from the shoulder to the wrist, and the axes of the hand; `side` +1 is the right arm."""
-    wrist = motion.wrist_m
-    outward = np.array([-side, 0.0, 0.0])
-    elbow = elbow_m(start, wrist, UPPER_ARM_M, FOREARM_M, motion.swivel, outward)
-    blobs = Parts()
-    ahead = wrist - elbow
-    ahead /= np.linalg.norm(ahead)
-    sleeved_arm(blobs, looks, start, elbow, wrist - 0.004 * ahead)
-    # the forearm's axes: x to the wrist, y towards the other arm
-    y = -outward - ahead * (ahead @ -outward)
-    y /= np.linalg.norm(y)
-    forearm = np.stack([ahead, y, np.cross(ahead, y)], axis=1)
-    mirror = np.diag([1.0, side, 1.0])
-    return blobs.mesh(), np.asarray(forearm @ mirror @ motion.bend @ mirror)
+        for track, (state, side) in enumerate(zip(hands, spans, strict=True), start=1):
+            start, wrist = turned @ shoulder(looks, sway, -side) + place, state[:3]
+            elbow = (start + wrist) / 2 + xyz(-0.12 * side, 0, -0.15)
+            arm(arms, looks, start, elbow, wrist)
+            # the forearm's axes: x to the wrist, y towards the other arm
+            ahead = (wrist - elbow) / np.linalg.norm(wrist - elbow)
+            inward = xyz(side, 0, 0) - ahead * ahead[0] * side
+            inward /= np.linalg.norm(inward)
+            mirror = np.diag([1.0, side, 1.0])
+            forearm = np.stack([ahead, inward, np.cross(ahead, inward)], axis=1)
+            axes = forearm @ mirror @ turn("xyz", *state[3:6]) @ mirror
+            mesh = hand_mesh(state[6:], size, looks.skin, left=side < 0).moved(axes, wrist).tracked(track)
+            actors.append(Actor(track, "hand", mesh, axes))
+        yield Moment(tuple(actors), (body.mesh().moved(turned, place), arms.mesh()))
 
 
 def _camera_pose(place: np.ndarray, pitch: float, roll: float) -> RigidTransform:
     """The pose of a camera that looks along world y, tilted up by `pitch` and rolled by `roll`, radians."""
     level = Rotation.from_matrix(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]))
-    turn = level * Rotation.from_euler("xz", [pitch, roll])
-    return RigidTransform.from_components(place, turn)
-
-
-def _paler(colour: tuple[float, float, float]) -> tuple[float, float, float]:
-    return (colour[0] * 0.7 + 0.3, colour[1] * 0.7 + 0.25, colour[2] * 0.7 + 0.25)
+    return RigidTransform.from_components(place, level * Rotation.from_euler("xz", [pitch, roll]))
 
 
 # Objects have an axis within this angle of the vertical, so that upright boxes fit them.
@@ -246,64 +164,35 @@ UPRIGHT_RAD = 0.06
 MIN_OBJECTS = 3
 
 
-@dataclass(frozen=True)
-class Motion:
-    """The periodic motion of an object that stays on its support.
-
-    Attributes:
-        reach_m: (3,) largest displacement.
-        rate_rad_s: of the displacement.
-        turn_rad_s: rotation about the vertical.
-    """
-
-    reach_m: Float64[np.ndarray, "3"]
-    rate_rad_s: float
-    turn_rad_s: float
-
-
 def objects_scene(random: np.random.Generator) -> Scene:
     """Upright objects on a table or on the floor; some stand still, some turn, some slide."""
     arrange = (table_top, room)[int(random.integers(2))]
-    scene = arrange(random)
-    while sum(map(_is_upright, scene.objects)) < MIN_OBJECTS:
+    objects: list[Placed] = []
+    while len(objects) < MIN_OBJECTS:
         scene = arrange(random)
-    objects = [placed for placed in scene.objects if _is_upright(placed)]
-    motions = [_motion(placed, objects, random) for placed in objects]
+        objects = [each for each in scene.objects if np.abs(each.axes[2]).max() > np.cos(UPRIGHT_RAD)]
     return Scene(
-        scene.palette, joined(scene.still), scene.lights, scene.T_world_camera, _moments(scene, objects, motions)
+        scene.palette, joined(scene.still), scene.lights, scene.T_world_camera, _sliding(scene, objects, random)
     )
 
 
-def _is_upright(placed: Placed) -> bool:
-    return bool(np.abs(placed.axes[2]).max() > np.cos(UPRIGHT_RAD))
-
-
-def _motion(placed: Placed, objects: list[Placed], random: np.random.Generator) -> Motion:
-    """A random motion; an object slides only as far as it cannot touch another one, and turns only without contact."""
-    gaps = [
-        float(np.linalg.norm(placed.origin_m[:2] - other.origin_m[:2])) - placed.radius_m - other.radius_m
-        for other in objects
-        if other is not placed
-    ]
-    room_m = min(gaps, default=0.0)
-    kind = random.random()
-    if room_m <= 0 or kind < 0.4:
-        return Motion(np.zeros(3), 0.0, 0.0)
-    turn = float(random.uniform(-0.8, 0.8)) if kind < 0.8 else 0.0
-    angle = random.uniform(0, 2 * np.pi)
-    reach = 0.5 * min(room_m, 0.5) * np.array([np.cos(angle), np.sin(angle), 0.0])
-    return Motion(reach, float(random.uniform(0.4, 1.2)), turn)
-
-
-def _moments(scene: Arrangement, objects: list[Placed], motions: list[Motion]) -> Iterator[Moment]:
-    count = 0
+def _sliding(scene: Arrangement, objects: list[Placed], random: np.random.Generator) -> Iterator[Moment]:
+    """Objects slide to and fro only as far as they cannot touch another one, and turn only without contact."""
+    motions = []
+    for placed in objects:
+        others = [other for other in objects if other is not placed]
+        gap = min(
+            float(np.linalg.norm((placed.origin_m - o.origin_m)[:2])) - placed.radius_m - o.radius_m for o in others
+        )
+        kind, angle = random.random(), random.uniform(0, 2 * np.pi)
+        moves = gap > 0 and kind >= 0.4
+        reach = 0.5 * min(gap, 0.5) * xyz(np.cos(angle), np.sin(angle), 0) if moves else np.zeros(3)
+        motions.append((reach, random.uniform(0.4, 1.2), random.uniform(-0.8, 0.8) if moves and kind < 0.8 else 0.0))
+    time_s = 0.0
     while True:
-        time_s = count * PERIOD_S
-        actors = []
-        for track, (placed, motion) in enumerate(zip(objects, motions, strict=True), start=1):
-            axes = turn_z(motion.turn_rad_s * time_s) @ placed.axes
-            place = placed.origin_m + motion.reach_m * np.sin(motion.rate_rad_s * time_s)
-            mesh = with_track(placed.mesh.moved(axes, place), track)
-            actors.append(Actor(track, LABEL, mesh, axes))
-        yield Moment(tuple(actors), ())
-        count += 1
+        actors = [
+            placed.actor(track, yaw_rate * time_s, reach * np.sin(rate * time_s))
+            for track, (placed, (reach, rate, yaw_rate)) in enumerate(zip(objects, motions, strict=True), start=1)
+        ]
+        yield Moment(tuple(actors))
+        time_s += PERIOD_S

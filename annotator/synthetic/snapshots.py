@@ -13,11 +13,10 @@ from jaxtyping import Bool, Int16
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.projection import pixel_colors, project, unproject_depth
-from annotator.synthetic.arrangements import INDOORS, Arrangement, street, with_track
+from annotator.synthetic.arrangements import INDOORS, Actor, Arrangement, street
 from annotator.synthetic.mesh import Mesh, joined
-from annotator.synthetic.render import Sensor, Stage, colour_image, depth_image, random_lidar, scan
-from annotator.synthetic.scene import Actor, hands_scene
-from annotator.synthetic.writer import actor_box
+from annotator.synthetic.render import Sensor, colour_image, depth_image, random_lidar, render, scan
+from annotator.synthetic.scene import Scene, hands_scene
 from annotator.types import Camera, Frame, OrientedBox, PointCloud
 
 MIN_POINTS = 20
@@ -63,57 +62,41 @@ def snapshot(seed: int, version: int = 1) -> Snapshot:
     return _depth_snapshot(seed, arrange(random), random)
 
 
-def _actors(scene: Arrangement) -> tuple[Actor, ...]:
-    """The objects as actors, with tracks from 1."""
-    return tuple(
-        Actor(track, item.label, with_track(item.mesh.moved(item.axes, item.origin_m), track), item.axes)
-        for track, item in enumerate(scene.objects, start=1)
-    )
+def _depth_snapshot(seed: int, scene: Arrangement, random: np.random.Generator) -> Snapshot:
+    camera = _random_camera(random, 45.0, 95.0)
+    return _depth_frame(seed, camera, scene, joined(scene.still), scene.actors, random)
 
 
 def _hands_snapshot(seed: int, random: np.random.Generator) -> Snapshot:
     scene = hands_scene(random)
     for _ in range(int(random.integers(1, 12))):
         moment = next(scene.moments)
-    camera = _random_camera(random, 45.0, 75.0)
-    stage = Stage(camera, scene.T_world_camera, scene.still, scene.palette, scene.lights)
-    return _depth_frame(seed, stage, [*moment.rest], moment.actors, scene.T_world_camera, random)
-
-
-def _depth_snapshot(seed: int, scene: Arrangement, random: np.random.Generator) -> Snapshot:
-    stage = Stage(
-        _random_camera(random, 45.0, 95.0), scene.T_world_camera, joined(scene.still), scene.palette, scene.lights
-    )
-    return _depth_frame(seed, stage, [], _actors(scene), scene.T_world_camera, random)
+    still = joined([scene.still, *moment.rest])
+    return _depth_frame(seed, _random_camera(random, 45.0, 75.0), scene, still, moment.actors, random)
 
 
 def _depth_frame(
     seed: int,
-    stage: Stage,
-    rest: list[Mesh],
+    camera: Camera,
+    scene: Scene | Arrangement,
+    still: Mesh,
     actors: tuple[Actor, ...],
-    T_world_camera: RigidTransform,
     random: np.random.Generator,
 ) -> Snapshot:
-    moving = [*rest, *(actor.mesh for actor in actors)]
     sensor = _random_sensor(random)
-    camera = stage.camera
-    up = T_world_camera.rotation.inv().apply([0.0, 0.0, 1.0])
-    if not moving:
-        empty = np.zeros((camera.height_px, camera.width_px, 3), np.uint8)
-        return Snapshot(Frame(str(seed), 0, camera, empty, PointCloud(np.zeros((0, 3), np.float32)), None, up), ())
-    ideal = stage.render(moving)
+    up = scene.T_world_camera.rotation.inv().apply([0.0, 0.0, 1.0])
+    mesh = joined([still, *(actor.mesh for actor in actors)])
+    ideal = render(camera, scene.T_world_camera, mesh, scene.palette, scene.lights)
     depth = depth_image(ideal, sensor, random).astype(np.float32) / 1000
-    rgb = colour_image(ideal, sensor, random)
+    rgb = colour_image(ideal, random)
     xyz, pixel = unproject_depth(camera, depth)
     cloud = PointCloud(xyz, pixel_colors(rgb, pixel), pixel_index=pixel)
     frame = Frame(str(seed), 0, camera, rgb, cloud, depth, up)
-    track = ideal.track.ravel()[pixel]
-    return Snapshot(frame, _seen(actors, T_world_camera, track))
+    return Snapshot(frame, _seen(actors, scene.T_world_camera, ideal.track.ravel()[pixel]))
 
 
 def _lidar_snapshot(seed: int, scene: Arrangement, random: np.random.Generator) -> Snapshot:
-    actors = _actors(scene)
+    actors = scene.actors
     camera = _random_camera(random, 55.0, 95.0, aspect=float(random.choice([0.3, 0.56, 0.75])))
     eye = scene.T_world_camera.translation + random.normal(0, 0.2, 3) + np.array([0.0, 0.0, 0.15])
     mesh = joined([*scene.still, *(actor.mesh for actor in actors)])
@@ -125,7 +108,7 @@ def _lidar_snapshot(seed: int, scene: Arrangement, random: np.random.Generator) 
     kind = random.random()
     cloud = PointCloud(
         xyz,
-        points.rgb.astype(np.uint8) if kind < 0.2 else None,
+        points.rgb if kind < 0.2 else None,
         points.reflectance if kind < 0.9 else None,
     )
     u, v = project(camera, xyz).T
@@ -146,7 +129,7 @@ def _seen(
     for actor in actors:
         points = track == actor.track
         if points.sum() >= MIN_POINTS:
-            objects.append(SnapshotObject(actor.label, actor_box(actor, T_camera_world), points))
+            objects.append(SnapshotObject(actor.label, actor.box(T_camera_world), points))
     return tuple(objects)
 
 

@@ -12,10 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Float64
 from scipy.optimize import linear_sum_assignment
 
 from annotator.geometry.iou import iou_3d_matrix
+from annotator.geometry.oriented_box import contains
 from annotator.types import OrientedBox
 
 # Lengths are shares of an object's longest side, times are in frames (`frame_times`).
@@ -75,15 +76,10 @@ def overlap_at_place(first: Sequence[OrientedBox], second: Sequence[OrientedBox]
     if not first or not second:
         return np.zeros((len(first), len(second)))
     iou = np.maximum(iou_3d_matrix(first, second), np.finfo(np.float64).tiny)
-    is_same = (iou >= SAME_PLACE_IOU) | (_contains_centers(first, second) & _contains_centers(second, first).T)
-    return np.where(is_same, iou, 0.0)
-
-
-def _contains_centers(boxes: Sequence[OrientedBox], others: Sequence[OrientedBox]) -> Bool[np.ndarray, "n m"]:
-    """Which boxes contain the centres of which others."""
-    centers = np.array([other.center_m for other in others])
-    inside = [(np.abs((centers - box.center_m) @ box.rotation) <= box.size_m / 2).all(axis=1) for box in boxes]
-    return np.array(inside)
+    centers = [np.array([box.center_m for box in boxes]) for boxes in (first, second)]
+    holds_second = np.array([contains(box, centers[1]) for box in first])
+    holds_first = np.array([contains(box, centers[0]) for box in second])
+    return np.where((iou >= SAME_PLACE_IOU) | (holds_second & holds_first.T), iou, 0.0)
 
 
 # The cost of a box that is out of reach; far above all other costs.

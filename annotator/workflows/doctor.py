@@ -259,16 +259,6 @@ def openvino(_: Path) -> Iterator[Line]:
     yield _loaded("OpenVINO", "openvino", facts, missing)
 
 
-def onnxruntime(_: Path) -> Iterator[Line]:
-    """Checks whether ONNX Runtime can be loaded, and lists its providers."""
-    from annotator.detection.backends.onnx_network import onnxruntime as load
-
-    def facts() -> str:
-        return f"{load().__version__}, providers {', '.join(load().get_available_providers())}"
-
-    yield _loaded("ONNX Runtime", "onnxruntime", facts)
-
-
 def numba(_: Path) -> Iterator[Line]:
     """Checks whether numba can be loaded."""
     yield _loaded("numba", "numba", lambda: str(import_module("numba").__version__), "recursion needs it", failed=True)
@@ -341,11 +331,7 @@ PICTURE_PX = (96, 128)
 # that of float16 (torch on GPUs multiplies with TF32, which has as many digits) and of bfloat16. A wrong graph, a wrong
 # kernel or lost weights move boxes by pixels.
 SINGLE, TF32, BFLOAT16 = (0.02, 1e-4, 0.02), (3.1, 0.018, 2.4), (15.0, 0.11, 10.0)
-BACKEND_PACKAGES: dict[Backend, tuple[str, ...]] = {
-    "openvino": ("openvino",),
-    "openvino-bf16": ("openvino",),
-    "onnxruntime": ("onnxruntime", "onnx"),
-}
+CONVERTED: tuple[Backend, ...] = ("openvino", "openvino-bf16")
 
 
 def backends(_: Path) -> Iterator[Line]:
@@ -373,8 +359,8 @@ def backends(_: Path) -> Iterator[Line]:
             yield of("backends", f"not tested ({_first_line(error)})", "see the packages above")
             return
         tested: list[tuple[str, Callable[[], Network], tuple[float, float, float]]] = []
-        for backend, needed in BACKEND_PACKAGES.items():
-            if all(map(find_spec, needed)):
+        for backend in CONVERTED:
+            if find_spec("openvino") is not None:
                 bounds = BFLOAT16 if backend == "openvino-bf16" else SINGLE
                 tested.append((backend, partial(opened, backend), bounds))
             else:
@@ -414,7 +400,7 @@ CHECKS: tuple[Check, ...] = (
     machine,
     installed,
     # before torch, because this check sets environment variables that torch and ultralytics read when they are loaded
-    *(ultralytics, torch, openvino, onnxruntime, numba, open3d),
+    *(ultralytics, torch, openvino, numba, open3d),
     choices,
     base_detector,
     backends,

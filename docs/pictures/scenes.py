@@ -13,11 +13,9 @@ from annotator.geometry.projection import inside_image, project
 from annotator.project import open_project
 from annotator.recordings import open_recording
 from annotator.recordings.clouds.virtual_camera import virtual_image
-from annotator.synthetic.arrangements import street, with_track
+from annotator.synthetic.arrangements import street
 from annotator.synthetic.mesh import joined
-from annotator.synthetic.render import Lidar, Sensor, Stage, colour_image, scan
-from annotator.synthetic.scene import Actor
-from annotator.synthetic.writer import actor_box
+from annotator.synthetic.render import Lidar, colour_image, render, scan
 from annotator.types import Box2D, Camera, Frame, PointCloud, Truth
 from annotator.workflows.recorded.reading import load_truth
 
@@ -65,29 +63,22 @@ def street_frame(seed: int, has_camera: bool) -> tuple[Frame, list[Truth]]:
     """
     random = np.random.default_rng(seed)
     scene = street(random)
-    actors = tuple(
-        Actor(track, item.label, with_track(item.mesh.moved(item.axes, item.origin_m), track), item.axes)
-        for track, item in enumerate(scene.objects, start=1)
-    )
-    still = joined(scene.still)
+    actors = scene.actors
     eye = scene.T_world_camera.translation + np.array([0.0, 0.0, LIDAR_ABOVE_CAMERA_M])
     pose = RigidTransform.from_components(eye, Rotation.identity())
     half_width = np.arctan(STREET_CAMERA.width_px / 2 / STREET_CAMERA.fx)
-    mesh = joined([still, *(actor.mesh for actor in actors)])
+    mesh = joined([*scene.still, *(actor.mesh for actor in actors)])
     points = scan(Lidar(), pose, float(half_width), mesh, scene.palette, scene.lights, random)
     T_camera_world = scene.T_world_camera.inv()
     cloud = PointCloud(T_camera_world.apply(points.xyz_m).astype(np.float32), None, points.reflectance)
     seen = inside_image(STREET_CAMERA, project(STREET_CAMERA, cloud.xyz_m)) & (cloud.xyz_m[:, 2] > 0)
     counts = np.bincount(points.track[seen], minlength=len(actors) + 1)
-    truths = [
-        Truth(actor.label, actor_box(actor, T_camera_world)) for actor in actors if counts[actor.track] >= MIN_POINTS
-    ]
+    truths = [Truth(actor.label, actor.box(T_camera_world)) for actor in actors if counts[actor.track] >= MIN_POINTS]
     cloud = cloud.select(seen)
     if has_camera:
-        stage = Stage(STREET_CAMERA, scene.T_world_camera, still, scene.palette, scene.lights)
-        ideal = stage.render([actor.mesh for actor in actors])
+        ideal = render(STREET_CAMERA, scene.T_world_camera, mesh, scene.palette, scene.lights)
         ideal.rgb[ideal.depth_m == 0] = SKY
-        rgb = colour_image(ideal, Sensor(), random)
+        rgb = colour_image(ideal, random)
     else:
         rgb = virtual_image(STREET_CAMERA, cloud)
     up = T_camera_world.rotation.apply([0.0, 0.0, 1.0])

@@ -70,7 +70,7 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("backend", ["auto", "torch", "openvino", "onnxruntime"])
+@pytest.mark.parametrize("backend", ["auto", "torch", "openvino"])
 @pytest.mark.parametrize("kind", PICKLES)
 def test_no_backend_runs_a_pickle(tmp_path: Path, trap: Path, kind: str, backend: Any) -> None:
     for name in ("detector.pt", "detector.safetensors"):
@@ -83,7 +83,7 @@ def test_no_backend_runs_a_pickle(tmp_path: Path, trap: Path, kind: str, backend
     ("words", "codes", "said"),
     [
         (["annotate", "sent", "--engine", "inline"], {2}, UNREADABLE),
-        (["annotate", "sent", "--backend", "onnxruntime"], {2}, UNREADABLE),
+        (["annotate", "sent", "--backend", "openvino"], {2}, UNREADABLE),
         (["lift", "sent", "--detector", "best.pt"], {2}, UNREADABLE),
         (["live", "sent", "people", "--limit", "1", "--port", "0"], {2}, UNREADABLE),
         (["train", "sent", "--only", "image", "--weights", "best.pt"], {2}, UNREADABLE),

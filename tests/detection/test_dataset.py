@@ -97,17 +97,17 @@ def test_a_tile_contains_its_object_at_the_scale_of_detection(
     box = Box2D("a", x - 0.5, y - 0.5, x + across - 0.5, y + along - 0.5)
     sample = TrainingSample(picture_with_box(height_px, 224, box), (box,), "g", "drawn", ("uid",), look_px=224)
     around, anywhere = tiled([sample], SIZE_PX)
-    assert around.load().shape == (min(height_px, SIZE_PX), SIZE_PX, 3)
+    assert around.rgb.shape == (min(height_px, SIZE_PX), SIZE_PX, 3)
     (shown,) = around.boxes
-    assert shown.xyxy == white(around.load())
+    assert shown.xyxy == white(around.rgb)
     assert (shown.x_max - shown.x_min, shown.y_max - shown.y_min) == (across, along)
     assert (around.label_uids, around.group, around.origin, around.look_px) == (("uid",), "g", "drawn", 0)
-    assert anywhere.load().shape == around.load().shape
+    assert anywhere.rgb.shape == around.rgb.shape
     for cut in anywhere.boxes:  # each labelled object has pixels in the tile, possibly cut off
         assert (cut.x_max - cut.x_min, cut.y_max - cut.y_min) == (across, along)
-        low_x, low_y, high_x, high_y = white(anywhere.load())
+        low_x, low_y, high_x, high_y = white(anywhere.rgb)
         assert max(cut.x_min, -0.5) == low_x and min(cut.x_max, SIZE_PX - 0.5) == high_x
-        assert max(cut.y_min, -0.5) == low_y and min(cut.y_max, anywhere.load().shape[0] - 0.5) == high_y
+        assert max(cut.y_min, -0.5) == low_y and min(cut.y_max, anywhere.rgb.shape[0] - 0.5) == high_y
 
 
 def test_a_cut_neighbour_is_labelled_only_if_enough_is_visible() -> None:

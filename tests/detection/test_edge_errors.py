@@ -10,7 +10,7 @@ import pytest
 
 from annotator.detection.config import EdgeErrors
 from annotator.detection.dataset import read_manifest
-from annotator.detection.edge_errors import Refused, fit_edge_errors, with_edge_errors
+from annotator.detection.edge_errors import fit_edge_errors, with_edge_errors
 from annotator.detection.trained import TrainedModel, read_trained
 from annotator.workflows.detectors import load_detector
 from tests.detection.test_backends import PlainImage
@@ -35,11 +35,11 @@ def test_the_fit_finds_the_law_behind_the_errors_despite_gross_ones(factor: floa
 def test_a_spread_that_tells_nothing_is_refused() -> None:
     rng = np.random.default_rng(0)
     spread, errors = rng.uniform(1, 4, 3000), rng.laplace(0, 1.0, 3000)
-    assert isinstance(fit_edge_errors(spread, errors), Refused)
+    assert isinstance(fit_edge_errors(spread, errors), str)
     # larger errors where the network claims to be certain
-    assert isinstance(fit_edge_errors(spread, errors / spread), Refused)
+    assert isinstance(fit_edge_errors(spread, errors / spread), str)
     few = fit_edge_errors(spread[:50], errors[:50] * spread[:50])
-    assert isinstance(few, Refused) and "50 edges" in few.reason
+    assert isinstance(few, str) and "50 edges" in few
 
 
 @pytest.mark.slow

@@ -104,6 +104,6 @@ def test_the_fingerprint_depends_on_weights_and_settings(
     moved.write_bytes(tiny_model.weights.read_bytes())
     assert fingerprint(moved) == detector.fingerprint
     assert (
-        fingerprint(backend="onnxruntime", threads=1) == detector.fingerprint
+        fingerprint(backend="openvino", threads=1) == detector.fingerprint
     )  # a batch may be continued on another backend
     assert len({fingerprint(), fingerprint(size=128), fingerprint(confidence=0.2), fingerprint(iou=0.5)}) == 4

@@ -102,7 +102,6 @@ def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         (doctor.torch, "torch", State.FAILED),
         (doctor.openvino, "openvino", State.WARNING),
-        (doctor.onnxruntime, "onnxruntime", State.OK),
     ],
 )
 def test_a_package_that_is_not_installed_is_reported(
@@ -224,12 +223,12 @@ def test_wrong_output_and_a_broken_backend_are_failed_lines(monkeypatch: pytest.
 
     def opened(weights: Path, digest: str, config: DetectorConfig) -> TorchNetwork | Wrong:
         network = TorchNetwork(weights, pick_device("cpu"))
-        if config.backend == "onnxruntime":
+        if config.device == "no such":
             raise DetectionError("no such operation")
         name = config.device if config.backend == "torch" else "openvino"
         return network if name == "cpu" else Wrong(network, changes[name])
 
-    gpus = [ultralytics_api.CudaDevice(name, "", 0, 0) for name in changes if name != "openvino"]
+    gpus = [ultralytics_api.CudaDevice(name, "", 0, 0) for name in (*changes, "no such") if name != "openvino"]
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(doctor, "open_network", opened)
     monkeypatch.setattr(ultralytics_api, "cuda_devices", lambda: gpus)
@@ -239,7 +238,7 @@ def test_wrong_output_and_a_broken_backend_are_failed_lines(monkeypatch: pytest.
         *("openvino", "openvino-bf16", "torch, a little")
     ]
     assert "by 5 px (boxes)" in found["torch, moved"].found
-    assert "no such operation" in found["onnxruntime"].found
+    assert "no such operation" in found["torch, no such"].found
     monkeypatch.setitem(changes, "openvino", lambda answer: answer + np.float32(0.1))
 
     def broken() -> bool:
@@ -255,5 +254,5 @@ def test_wrong_output_and_a_broken_backend_are_failed_lines(monkeypatch: pytest.
 def test_the_backends_of_this_machine_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     found = lines(doctor.backends, tmp_path)
-    assert set(found) >= {"openvino", "openvino-bf16", "onnxruntime"}
+    assert set(found) >= {"openvino", "openvino-bf16"}
     assert all(each.state is State.OK for each in found.values()), found

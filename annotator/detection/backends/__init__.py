@@ -1,1 +1,1 @@
-"""Inference backends for trained networks: torch, OpenVINO and ONNX Runtime, each behind the same `Network`."""
+"""Inference backends for trained networks: torch and OpenVINO, each behind the same `Network`."""

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import ctypes
 import logging
-import platform
 import sys
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
 from annotator.detection.backends.export import Export, export, export_key, find_export, keep_export, one_at_a_time
-from annotator.detection.backends.network import ExportKind, Network
+from annotator.detection.backends.network import Network
 from annotator.detection.config import Backend, DetectorConfig
-from annotator.types.errors import AnnotatorError, ConfigError, DetectionError, MissingExtraError
+from annotator.types.errors import AnnotatorError, ConfigError, DetectionError
 
 LOG = logging.getLogger("annotator.detectors")
 
@@ -21,23 +20,18 @@ LOG = logging.getLogger("annotator.detectors")
 def open_network(weights: Path, weights_sha256: str, config: DetectorConfig) -> Network:
     """Opens a weights file on the configured backend; for "auto" and "fastest", on the fastest usable one.
 
-    The order is: torch with a CUDA device, OpenVINO on x86 processors, ONNX Runtime, torch. With "fastest", OpenVINO
+    The order is: torch with a CUDA device, OpenVINO where it is installed, torch. With "fastest", OpenVINO
     computes in half precision if the CPU supports it. With "auto" and "fastest", a backend that cannot run this
     network is skipped, and the reason is logged.
     """
-    choices = _choices(config)
-    for backend in choices[:-1]:
-        try:
-            return _open_and_log(weights, weights_sha256, config, backend)
-        except AnnotatorError as error:
-            if find_spec("torch") is None:
-                raise
-            LOG.warning("%s: cannot run on %s: %s", weights, backend, error)
-    return _open_and_log(weights, weights_sha256, config, choices[-1])
-
-
-def _open_and_log(weights: Path, weights_sha256: str, config: DetectorConfig, backend: Backend) -> Network:
-    network = _open(weights, weights_sha256, config, backend)
+    first, *others = _choices(config)
+    try:
+        network = _open(weights, weights_sha256, config, first)
+    except AnnotatorError as error:
+        if not others or find_spec("torch") is None:
+            raise
+        LOG.warning("%s: cannot run on %s: %s", weights, first, error)
+        network = _open(weights, weights_sha256, config, others[0])
     LOG.info("%s: runs on %s", weights, network.backend)
     return network
 
@@ -51,33 +45,25 @@ def _open(weights: Path, weights_sha256: str, config: DetectorConfig, backend: B
             if config.backend == backend:
                 raise ConfigError("this processor has no instructions for bfloat16; use the backend openvino")
             backend = "openvino"
-        exported = _exported(weights, weights_sha256, "openvino")
+        exported = _exported(weights, weights_sha256)
         return OpenVinoNetwork(exported.facts, exported.parts, config.threads, bfloat16=backend == "openvino-bf16")
-    if backend == "onnxruntime":
-        from annotator.detection.backends.onnx_network import OnnxNetwork
-
-        if find_spec("onnxruntime") is None:  # reported before the slow export
-            raise MissingExtraError("onnxruntime", "onnx")
-        exported = _exported(weights, weights_sha256, backend)
-        return OnnxNetwork(exported.facts, exported.parts, config.threads)
     from annotator.detection.backends.torch_network import TorchNetwork
     from annotator.detection.ultralytics_api import pick_device
 
     return TorchNetwork(weights, pick_device(config.device), config.threads)
 
 
-def _exported(weights: Path, weights_sha256: str, kind: ExportKind) -> Export:
-    key = export_key(kind, weights_sha256)
-    cached = find_export(kind, key)
+def _exported(weights: Path, weights_sha256: str) -> Export:
+    key = export_key(weights_sha256)
+    cached = find_export(key)
     if cached is not None:
         return cached
     with one_at_a_time():
-        cached = find_export(kind, key)  # another process may have finished it meanwhile
+        cached = find_export(key)  # another process may have finished it meanwhile
         if cached is None:
-            LOG.info("%s: converting for %s; the result is reused", weights, kind)
-            facts, parts = export(weights, kind)
-            cached = Export(facts, parts)
-            keep_export(kind, key, cached)
+            LOG.info("%s: converting for OpenVINO; the result is reused", weights)
+            cached = export(weights)
+            keep_export(key, cached)
     return cached
 
 
@@ -91,14 +77,9 @@ def _choices(config: DetectorConfig) -> tuple[Backend, ...]:
         if other_device and config.backend != "torch":
             raise ConfigError(f"{config.backend} runs on the processor, not on {config.device}; use the backend torch")
         return (config.backend,)
-    if other_device or (config.device == "auto" and has_cuda()):
+    if other_device or (config.device == "auto" and has_cuda()) or find_spec("openvino") is None:
         return ("torch",)
-    faster: list[Backend] = []
-    if platform.machine().lower() in ("x86_64", "amd64") and find_spec("openvino") is not None:
-        faster.append("openvino-bf16" if config.backend == "fastest" else "openvino")
-    if find_spec("onnxruntime") is not None and find_spec("onnx") is not None:
-        faster.append("onnxruntime")
-    return (*faster, "torch")
+    return ("openvino-bf16" if config.backend == "fastest" else "openvino", "torch")
 
 
 def chosen(config: DetectorConfig) -> tuple[Backend, str]:
@@ -117,20 +98,15 @@ def chosen(config: DetectorConfig) -> tuple[Backend, str]:
 
 def _loaded(backend: Backend) -> Backend:
     """Loads the packages of a backend; returns openvino for openvino-bf16 on a processor without bfloat16."""
-    if backend in ("openvino", "openvino-bf16"):
-        from annotator.detection.backends.openvino_network import computes_bfloat16, openvino
-
-        openvino()
-        return backend if backend == "openvino" or computes_bfloat16() else "openvino"
-    if backend == "onnxruntime":
-        from annotator.detection.backends.onnx_network import onnxruntime
-
-        onnxruntime()
-    else:
+    if backend == "torch":
         from annotator.detection.ultralytics_api import api
 
         api()
-    return backend
+        return backend
+    from annotator.detection.backends.openvino_network import computes_bfloat16, openvino
+
+    openvino()
+    return backend if backend == "openvino" or computes_bfloat16() else "openvino"
 
 
 @lru_cache(maxsize=1)

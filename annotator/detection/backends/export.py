@@ -1,4 +1,4 @@
-"""Exports a trained network to the file formats of other runtimes, once: the results are kept in the user's cache.
+"""Converts a trained network for OpenVINO, once: the results are kept in the user's cache.
 
 The export needs torch; running it does not.
 """
@@ -11,24 +11,24 @@ import logging
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 from xml.etree import ElementTree
 
+import numpy as np
 from pydantic import ValidationError
 
-from annotator.detection.backends.network import ExportKind, NetworkFacts
+from annotator.detection.backends.network import NetworkFacts
 from annotator.detection.backends.openvino_network import openvino
 from annotator.detection.backends.torch_network import raw_network
 from annotator.detection.ultralytics_api import api, cache_dir, forget_oldest
-from annotator.files import NETWORK_BYTES, new_folder, read_file
-from annotator.types.bases import Strict
-from annotator.types.errors import DetectionError, FormatError
+from annotator.detection.weights import open_tensors
+from annotator.files import NETWORK_BYTES, read_file, write_atomic
+from annotator.types.errors import DetectionError
 
 # Keeps parts of the detection head in single precision while OpenVINO computes the network in bfloat16.
 #
@@ -79,82 +79,8 @@ def marked(network: bytes, head: int) -> bytes:
 
 # Input that the network is traced with. Its axes have different lengths, so that the tracer cannot confuse them.
 EXAMPLE_SHAPE = (2, 64, 96, 3)
-# The newest opset that all package versions allowed by pyproject.toml support.
-ONNX_OPSET = 17
-# Deprecation warnings of TorchScript. Its successor cannot export these networks with dynamic sizes.
-DEPRECATION_WARNINGS = (
-    r"`torch\.jit\.",
-    "You are using the legacy TorchScript-based ONNX export",
-    "The feature will be removed",
-)
-
-
-def export(weights: Path, kind: ExportKind) -> tuple[NetworkFacts, dict[str, bytes]]:
-    """Converts a network; returns its facts and the file contents by name.
-
-    The files are network.xml and network.bin for OpenVINO, network.onnx for ONNX Runtime. The graph accepts any batch
-    size and any image size that is a multiple of the stride.
-    """
-    torch = api().torch
-    module, facts = raw_network(weights, torch.device("cpu"))
-    module.model.model[-1].dynamic = True  # anchors follow the image's size instead of being recorded
-    try:
-        with TemporaryDirectory() as temporary, warnings.catch_warnings():
-            # Torch warns of all Python code that branches on shapes.
-            warnings.filterwarnings("ignore", category=torch.jit.TracerWarning)
-            for message in DEPRECATION_WARNINGS:
-                warnings.filterwarnings("ignore", message)
-            _WRITERS[kind](module, torch.zeros(EXAMPLE_SHAPE, dtype=torch.uint8), Path(temporary))
-            return facts, {path.name: read_file(path, NETWORK_BYTES) for path in sorted(Path(temporary).iterdir())}
-    except DetectionError:
-        raise
-    except Exception as error:  # torch and the converters raise many types
-        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        raise DetectionError(
-            f"{weights}: cannot be converted for {kind} ({reason}); use --backend torch for this model"
-        ) from error
-
-
-def _write_openvino(module: Any, example: Any, folder: Path) -> None:
-    runtime, torch = openvino(), api().torch
-    with torch.inference_mode():
-        traced = torch.jit.trace(module, example, strict=False, check_trace=False)
-    model = runtime.convert_model(traced, example_input=example)
-    model.reshape([-1, -1, -1, 3])
-    # float16 weights would save disk space but cost accuracy.
-    file = folder / "network.xml"
-    runtime.save_model(model, file, compress_to_fp16=False)
-    file.write_bytes(marked(read_file(file, NETWORK_BYTES), len(module.model.model) - 1))
-
-
-def _write_onnx(module: Any, example: Any, folder: Path) -> None:
-    torch = api().torch
-    torch.onnx.export(
-        module,
-        (example,),
-        folder / "network.onnx",
-        dynamo=False,
-        opset_version=ONNX_OPSET,
-        input_names=["pixels"],
-        output_names=["prediction"],
-        dynamic_axes={"pixels": {0: "n", 1: "height", 2: "width"}, "prediction": {0: "n", 2: "anchors"}},
-    )
-
-
-_WRITERS: dict[ExportKind, Callable[[Any, Any, Path], None]] = {
-    "openvino": _write_openvino,
-    "onnxruntime": _write_onnx,
-}
-
-
-RECORD, LOCK = "export.json", "exports.lock"
-# Increase when the export code changes its output for the same weights and packages.
-REVISIONS: Mapping[ExportKind, int] = {"openvino": 3, "onnxruntime": 2}
-# An export is repeated when the version of one of these packages changes.
-PACKAGES: Mapping[ExportKind, tuple[str, ...]] = {
-    "openvino": ("torch", "ultralytics-opencv-headless", "openvino"),
-    "onnxruntime": ("torch", "ultralytics-opencv-headless", "onnx"),
-}
+# Deprecation warning of TorchScript. Its successor cannot export these networks with dynamic sizes.
+DEPRECATION_WARNING = r"`torch\.jit\."
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,18 +95,43 @@ class Export:
     parts: Mapping[str, bytes]
 
 
-class _Record(Strict):
-    """Content of `export.json`: the key of the export, the network's facts and the SHA-256 of each file by name."""
+def export(weights: Path) -> Export:
+    """Converts a network. The graph accepts any batch size and any image size that is a multiple of the stride."""
+    torch, runtime = api().torch, openvino()
+    module, facts = raw_network(weights, torch.device("cpu"))
+    head = len(module.model.model) - 1
+    module.model.model[head].dynamic = True  # anchors follow the image's size instead of being recorded
+    example = torch.zeros(EXAMPLE_SHAPE, dtype=torch.uint8)
+    try:
+        with TemporaryDirectory() as temporary, warnings.catch_warnings():
+            # Torch warns of all Python code that branches on shapes.
+            warnings.filterwarnings("ignore", category=torch.jit.TracerWarning)
+            warnings.filterwarnings("ignore", DEPRECATION_WARNING)
+            with torch.inference_mode():
+                traced = torch.jit.trace(module, example, strict=False, check_trace=False)
+            model = runtime.convert_model(traced, example_input=example)
+            model.reshape([-1, -1, -1, 3])
+            # float16 weights would save disk space but cost accuracy.
+            runtime.save_model(model, Path(temporary) / "network.xml", compress_to_fp16=False)
+            parts = {path.name: read_file(path, NETWORK_BYTES) for path in Path(temporary).iterdir()}
+            return Export(facts, parts | {"network.xml": marked(parts["network.xml"], head)})
+    except Exception as error:  # torch and the converter raise many types
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise DetectionError(
+            f"{weights}: cannot be converted for OpenVINO ({reason}); use --backend torch for this model"
+        ) from error
 
-    key: str
-    facts: NetworkFacts
-    files: dict[str, str]
+
+LOCK = "exports.lock"
+# Increase when this code changes its output for the same weights and packages.
+REVISION = 3
+# An export is repeated when the version of one of these packages changes.
+PACKAGES = ("torch", "ultralytics-opencv-headless", "openvino")
 
 
-def export_key(kind: ExportKind, weights_sha256: str) -> str:
+def export_key(weights_sha256: str) -> str:
     """Cache key of an export: SHA-256 of the weights' digest, the package versions and the revision of the export."""
-    versions = {name: _version(name) for name in PACKAGES[kind]}
-    inputs = json.dumps([REVISIONS[kind], kind, weights_sha256, versions], sort_keys=True)
+    inputs = json.dumps([REVISION, weights_sha256, {name: _version(name) for name in PACKAGES}], sort_keys=True)
     return hashlib.sha256(inputs.encode()).hexdigest()
 
 
@@ -206,59 +157,51 @@ def one_at_a_time() -> Iterator[None]:
         yield
 
 
-def find_export(kind: ExportKind, key: str) -> Export | None:
+def find_export(key: str) -> Export | None:
     """Reads an export from the user's cache; None if it has no valid copy."""
-    folder = _place(kind, key)
-    export = _read(folder, key)
-    if export is not None:
-        with suppress(OSError):
-            os.utime(folder)  # the least recently used exports are removed
+    path = _place(key)
+    if not path.exists():
+        return None
+    try:
+        with open_tensors(path, "numpy", "exporting again") as file:
+            parts = {name: file.get_tensor(name).tobytes() for name in file.keys()}  # noqa: SIM118
+            facts = dict(file.metadata() or {})
+        if facts["sha256"] != _digest(key, parts):
+            raise DetectionError(f"{path}: damaged; exporting again")
+        export = Export(NetworkFacts.model_validate_json(facts["network"]), parts)
+    except (DetectionError, KeyError, ValidationError) as error:
+        LOG.warning("a converted network cannot be read, exporting again: %s", error)
+        return None
+    with suppress(OSError):
+        os.utime(path)  # the least recently used exports are removed
     return export
 
 
-def keep_export(kind: ExportKind, key: str, export: Export) -> None:
+def keep_export(key: str, export: Export) -> None:
     """Stores an export in the user's cache, and removes the least recently used ones.
 
     Never beside the weights: those may lie in a project that somebody else made, and an export found there could be
-    anything. If the cache is not writable, a warning is logged, and the export is repeated each time. If two processes
-    store the same export at once, the first result is kept.
+    anything. If the cache is not writable, a warning is logged, and the export is repeated each time.
     """
-    folder = _place(kind, key)
+    from safetensors.numpy import save
+
+    path = _place(key)
+    facts = {"network": export.facts.model_dump_json(), "sha256": _digest(key, export.parts)}
     try:
-        _write(folder, key, export)
-    except (FormatError, OSError) as error:
-        if _read(folder, key) is None:  # else another process was faster
-            LOG.warning("an export for %s cannot be stored, so it is repeated each time: %s", kind, error)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(path, save({name: np.frombuffer(part, np.uint8) for name, part in export.parts.items()}, facts))
+    except OSError as error:
+        LOG.warning("a converted network cannot be stored, so it is converted each time: %s", error)
         return
-    forget_oldest(folder.parent)
+    forget_oldest(path.parent)
 
 
-def _place(kind: ExportKind, key: str) -> Path:
-    return cache_dir() / "exports" / f"{kind}-{key}"
+def _place(key: str) -> Path:
+    return cache_dir() / "exports" / f"openvino-{key}.safetensors"
 
 
-def _read(folder: Path, key: str) -> Export | None:
-    try:
-        record = _Record.model_validate_json(read_file(folder / RECORD))
-        parts = {name: read_file(folder / name, NETWORK_BYTES) for name in record.files if Path(name).name == name}
-    except (OSError, ValidationError) as error:
-        if folder.exists():
-            LOG.warning("%s: cannot be read (%s); exporting again", folder, type(error).__name__)
-        return None
-    digests = {name: hashlib.sha256(content).hexdigest() for name, content in parts.items()}
-    if record.key != key or digests != record.files:
-        LOG.warning("%s: damaged; exporting again", folder)
-        return None
-    return Export(record.facts, parts)
-
-
-def _write(folder: Path, key: str, export: Export) -> None:
-    digests = {name: hashlib.sha256(content).hexdigest() for name, content in export.parts.items()}
-    record = _Record(key=key, facts=export.facts, files=digests)
-    with new_folder(folder, lambda existing: _read(existing, key) is None) as part:
-        for name, content in export.parts.items():
-            (part / name).write_bytes(content)
-        (part / RECORD).write_text(record.model_dump_json(indent=1), encoding="utf-8")
+def _digest(key: str, parts: Mapping[str, bytes]) -> str:
+    return hashlib.sha256(b"".join([key.encode(), *(parts[name] for name in sorted(parts))])).hexdigest()
 
 
 def _version(package: str) -> str | None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
-from typing import Literal, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float32, UInt8
@@ -16,9 +16,6 @@ from pydantic import Field
 
 from annotator.detection.config import Backend
 from annotator.types.bases import Strict
-
-# Backends that run a converted copy of the weights.
-ExportKind = Literal["openvino", "onnxruntime"]
 
 # Input (n, height, width, RGB) and raw prediction (n, 4 + classes + spreads, anchors) with 4 spreads or none; sizes may
 # differ from batch to batch.

@@ -123,11 +123,6 @@ class LocalWorker:
         self._write(start)
         threading.Thread(target=self._listen, name=f"worker {number}", daemon=True).start()
 
-    @property
-    def pid(self) -> int:
-        """The process's id."""
-        return self._process.pid
-
     def send(self, task: Task) -> None:
         """Sends a task; does nothing if the worker is dead."""
         self._write(task)

@@ -81,15 +81,10 @@ class RayWorker:
         self._is_over = True
         from ray import exceptions
 
-        # for a lost actor, machine or answer; they have no common base class
-        lost = (
-            exceptions.RayActorError,
-            exceptions.OutOfMemoryError,  # Ray kills actors before the system runs out of memory
-            exceptions.NodeDiedError,
-            exceptions.WorkerCrashedError,
-            exceptions.ObjectLostError,  # the machine was lost after the task was done
-        )
-        if isinstance(error, lost) and CREATION not in str(error):
+        # of the task itself, or for every actor; all others are of a lost actor, machine or answer
+        own = (exceptions.RayTaskError, exceptions.RuntimeEnvSetupError)
+        is_lost = isinstance(error, exceptions.RayError) and not isinstance(error, own)
+        if is_lost and CREATION not in str(error):
             self._report(self._number, Died("lost: " + _cause_of_death(str(error))))
         else:
             # every actor would fail, e.g. for a missing package

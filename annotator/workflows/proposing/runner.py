@@ -5,18 +5,18 @@ from __future__ import annotations
 import threading
 import time
 import traceback
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from annotator.project import StoredRecording
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.propose import propose
 from annotator.types import Frame
 from annotator.types.errors import AnnotatorError
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.frame_source import OpenedRecording, orientation_for
+from annotator.workflows.frame_source import orientation_for
 from annotator.workflows.proposing.tasks import (
     MAX_OPEN,
     Answer,
@@ -73,8 +73,8 @@ class TaskRunner:
     def __init__(self, detectors: Detectors, storage: Storage) -> None:
         # answers may be pickled for another process, which must not change them
         pickle_exactly()
-        self.detectors, self._storage = detectors, storage
-        self._opened: OrderedDict[StoredRecording, OpenedRecording] = OrderedDict()
+        self.detectors = detectors
+        self._open = lru_cache(MAX_OPEN)(storage.open)
         self._reading, self._proposing = threading.Lock(), threading.Lock()
 
     @property
@@ -100,20 +100,12 @@ class TaskRunner:
         for index, spec in enumerate(task.frames):
             begin = time.perf_counter()
             try:
-                frame = self._opened_at(spec.recording, task.project).read(spec.key)
+                frame = self._open(spec.recording, task.project).read(spec.key)
             except Exception as error:
                 answers[index] = failure(error, time.perf_counter() - begin)
             else:
                 read.append((index, spec, frame, time.perf_counter() - begin))
         return read
-
-    def _opened_at(self, recording: StoredRecording, project: str) -> OpenedRecording:
-        if recording not in self._opened:
-            self._opened[recording] = self._storage.open(recording, project)
-            if len(self._opened) > MAX_OPEN:
-                self._opened.popitem(last=False)
-        self._opened.move_to_end(recording)
-        return self._opened[recording]
 
     def _propose(self, read: Sequence[_Read], config: RcvConfig, answers: dict[int, FrameAnswer]) -> None:
         begin = time.perf_counter()

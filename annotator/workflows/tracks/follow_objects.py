@@ -166,7 +166,6 @@ class FollowedObject:
         doubtful: the frames in which following forward and backward gave different boxes.
     """
 
-    track_id: int | None
     keys: tuple[KeyFrame, ...]
     parts: list[Part]
     met: list[KeyFrame] = field(default_factory=list)
@@ -186,13 +185,22 @@ class FollowedObject:
             both += [] if stretch.after is None else [Walk(stretch.after, deque(reversed(inside)))]
             parts.append(Part(both))
         keys = {key.label.uid: key for stretch in stretches for key in stretch.keys}
-        ordered = tuple(sorted(keys.values(), key=lambda key: key.index))
-        return cls(ordered[0].label.track_id, ordered, parts)
+        return cls(tuple(sorted(keys.values(), key=lambda key: key.index)), parts)
 
     @property
     def label(self) -> Label:
         """Its first reviewed label."""
         return self.keys[0].label
+
+    @property
+    def track_id(self) -> int | None:
+        """None while it has no track."""
+        return self.label.track_id
+
+    def give_track(self, track_id: int) -> None:
+        """Notes the track that it has been given."""
+        first = replace(self.keys[0], label=replace(self.label, track_id=track_id))
+        self.keys = (first, *self.keys[1:])
 
     def walks(self) -> Iterator[tuple[Part, Walk]]:
         """Its walks, each with its part."""

@@ -289,7 +289,7 @@ class FollowRun:
         self._effort = None
         for track_id, item in owners.items():
             if track_id not in untracked or track_id in given:
-                item.track_id = track_id
+                item.give_track(track_id)
             item.met.clear()
         for index, payload in proposed:
             if payload.track_id is not None:

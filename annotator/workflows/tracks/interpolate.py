@@ -89,22 +89,22 @@ def interpolate(
     """
     if abs(track_id) > MOST_TRACK:
         raise ConfigError(f"track ids are at most {MOST_TRACK}, not {track_id:.6g}; give the id of a track")
-    return _filled(Timeline(project, recording_id), track_id, author, first, last, fit)
+    timeline = Timeline(project, recording_id)
+    return _filled(timeline, _chosen(timeline, track_id, first, last), track_id, author, fit)
 
 
 def _filled(
     timeline: Timeline,
+    keys: Sequence[KeyFrame],
     track_id: int,
     author: str,
-    first: str | None,
-    last: str | None,
     fit: FitBox | None,
     effort: Effort | None = None,
 ) -> Interpolated:
     project, frames, times = timeline.project, timeline.frames, timeline.times.tolist()
     changes: list[tuple[StoredFrame, list[Payload]]] = []
     finalised = covered = 0
-    for before, after in pairwise(_chosen(timeline.key_frames(track_id), frames, track_id, first, last)):
+    for before, after in pairwise(keys):
         inside = range(before.index + 1, after.index)
         ends = (times[before.index], times[after.index])
         boxes = between(before.label.box, after.label.box, *ends, [times[index] for index in inside])
@@ -145,19 +145,16 @@ def interpolate_back(
     if label.track_id is None:
         raise ConfigError("the box belongs to no track; give it the track id of the earlier box first")
     timeline = Timeline(project, frame.recording_id)
-    keys = [timeline.frames[key.index] for key in timeline.key_frames(label.track_id)]
-    earlier = [each.key for each in keys if (each.index or 0) < (frame.index or 0)]
-    if not earlier:
+    keys = [key for key in timeline.key_frames(label.track_id) if key.index <= timeline.index.get(frame.id, 0)][-2:]
+    if len(keys) < 2:
         raise ConfigError(f"track {label.track_id} has no reviewed box in an earlier frame")
-    return _filled(timeline, label.track_id, author, earlier[-1], frame.key, fit, effort)
+    return _filled(timeline, keys, label.track_id, author, fit, effort)
 
 
-def _chosen(
-    keys: list[KeyFrame], frames: Sequence[StoredFrame], track_id: int, first: str | None, last: str | None
-) -> list[KeyFrame]:
+def _chosen(timeline: Timeline, track_id: int, first: str | None, last: str | None) -> list[KeyFrame]:
     """Returns the key frames from `first` to `last`."""
-    by_key = {frame.key: index for index, frame in enumerate(frames)}
-    ends = [0, len(frames)]
+    keys, by_key = timeline.key_frames(track_id), {frame.key: n for n, frame in enumerate(timeline.frames)}
+    ends = [0, len(timeline.frames)]
     for place, name in enumerate((first, last)):
         if name is not None and name not in by_key:
             raise NotFoundError(f"the recording has no frame {name!r}")

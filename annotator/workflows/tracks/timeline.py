@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float64
@@ -64,15 +64,11 @@ class Timeline:
             if times_ns is None
             else frame_times([times_ns.get(frame.key) for frame in self.frames])
         )
-        self._read: OrderedDict[int, Frame] = OrderedDict()
+        self._read = lru_cache(FRAMES_KEPT)(lambda index: self._source.read(self.frames[index]))
 
     def moment(self, index: int) -> Moment:
         """Reads a frame."""
-        if index not in self._read:
-            self._read[index] = self._source.read(self.frames[index])
-            while len(self._read) > FRAMES_KEPT:
-                self._read.popitem(last=False)
-        return Moment(index, self._read[index], float(self.times[index]))
+        return Moment(index, self._read(index), float(self.times[index]))
 
     def key_frames(self, track_id: int) -> list[KeyFrame]:
         """Returns the key frames of a track, in order."""

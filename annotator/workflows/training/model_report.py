@@ -9,19 +9,16 @@ import shutil
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
 
-from annotator.detection.dataset import GENERATED, MANIFEST_NAME, DatasetManifest, read_manifest
+from annotator.detection.dataset import GENERATED, MANIFEST_NAME, DatasetManifest, read_manifest, read_picture
 from annotator.files import DOCUMENT_BYTES, open_text_file
 from annotator.formats.reading import read_model
-from annotator.image_bytes import read_image
 from annotator.project import StoredModel
 from annotator.types import Box2D, Detector
-from annotator.types.detector import Picture
 from annotator.types.errors import DetectionError, FormatError
 from annotator.workflows.training.held_out import DECISION_NAME, Decision
 
@@ -35,7 +32,7 @@ COLOURS_BGR = ((60, 200, 255), (120, 220, 80), (255, 140, 80), (200, 110, 255), 
 
 def write_validation_pictures(dataset: Path, manifest: DatasetManifest, detector: Detector, model: Path) -> list[Path]:
     """Draws a detector's boxes on validation images, and writes these beside the model."""
-    pictures = [_read(dataset / name) for name in _chosen(manifest)]
+    pictures = [read_picture(dataset / name) for name in _chosen(manifest)]
     detections = detector.detect(pictures)
     folder = model / FOLDER
     temporary = Path(tempfile.mkdtemp(prefix=f".{FOLDER}.", dir=model))
@@ -61,16 +58,6 @@ def _chosen(manifest: DatasetManifest) -> list[str]:
     if len(labelled) <= PICTURES:
         return labelled
     return [labelled[round(index)] for index in np.linspace(0, len(labelled) - 1, PICTURES)]
-
-
-def _read(path: Path) -> Picture:
-    import cv2
-
-    try:
-        bgr = read_image(path, cv2.IMREAD_COLOR)
-    except (OSError, ValueError) as error:
-        raise DetectionError(f"{path}: the image cannot be read ({error}); train again") from error
-    return Picture(np.ascontiguousarray(bgr[..., ::-1]))
 
 
 def _write(path: Path, bgr: UInt8[np.ndarray, "h w 3"]) -> None:
@@ -161,16 +148,11 @@ def decision_of(model: StoredModel) -> Decision | None:
 
 
 def _boxes(model: StoredModel) -> int | None:
+    """The number of training boxes, without those of generated frames."""
     if model.manifest is None or model.manifest.name != MANIFEST_NAME or not model.manifest.is_file():
         return None
-    return _boxes_of(model.manifest.parent, model.manifest.stat().st_mtime_ns)
-
-
-@lru_cache(maxsize=256)
-def _boxes_of(folder: Path, changed_ns: int) -> int | None:
-    """Counts the training boxes of a manifest, without those of generated frames; cached until the file changes."""
     try:
-        entries = read_manifest(folder).entries
+        entries = read_manifest(model.manifest.parent).entries
         return sum(len(entry.boxes) for entry in entries if entry.split == "train" and entry.origin != GENERATED)
     except FormatError:  # only the number is lost: the model works without its manifest
         return None

@@ -376,7 +376,7 @@ def agnostic_samples(
     # the drawn box of a view's own object, which is the first of a view that belongs to an object
     for view, sample in _drawn(project, material.views, skip):
         if len(view.boxes) <= 1 or (view.geometry is not None and view.geometry.image_box is not None):
-            yield replace(sample, boxes=_boxes_of(view, material, start, sample.load()))
+            yield replace(sample, boxes=_boxes_of(view, material, start, sample.rgb))
     for known in known_objects(project, material, rcv, config, MOST_AGNOSTIC_DRAWS, skip, both_kinds=True):
         labels, objects = known.labels, known.objects
         for taught in teach_views(known.frame, objects, None, known.draws, known.rcv, known.up, known.rng):

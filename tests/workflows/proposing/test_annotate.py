@@ -333,26 +333,6 @@ def test_a_frame_finalised_during_processing_is_not_changed(people: Project, kno
     assert people.labels.of_frame(stored.id) == ()
 
 
-def test_a_frame_finalised_between_two_write_attempts_is_skipped(
-    people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    stored = people.frames.of()[0]
-    replace, first = type(people.proposals).replace, [True]
-
-    def interrupted(self, frame_id, *rest, **named):
-        if first.pop() if first else False:
-            bump(people, 0)
-            try:
-                return replace(self, frame_id, *rest, **named)
-            finally:
-                people.frames.finalise(stored.id, WriteContext(1, "me"))
-        return replace(self, frame_id, *rest, **named)
-
-    monkeypatch.setattr(type(people.proposals), "replace", interrupted)
-    done = annotate(people, knowing("people"), FAST, limit=2)
-    assert (done.frames, done.done, done.skipped, done.failed) == (1, 1, 1, [])
-
-
 def test_a_store_that_cannot_be_written_ends_the_batch(
     people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
 ) -> None:

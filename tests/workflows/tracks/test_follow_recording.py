@@ -43,9 +43,11 @@ def test_reviewed_boxes_are_followed_to_the_end(room: Room) -> None:
 def test_a_lost_object_is_reported_and_stores_nothing(room: Room) -> None:
     with pytest.raises(ConfigError, match="there is no reviewed box to follow"):
         room.all(room.view)
-    # a box in the air, above a person
-    truth = room.truths[0][0]
-    box = OrientedBox.from_parts(truth.box.center_m - [0.0, 0.9 * truth.box.size_m[2], 0.0], np.eye(3), np.full(3, 0.3))
+    # a box in the air, above the farthest person
+    truth = max(room.truths[0], key=lambda truth: truth.box.center_m[2])
+    box = OrientedBox.from_parts(
+        truth.box.center_m - [0.0, 0.75 * truth.box.size_m[2], 0.0], np.eye(3), np.full(3, 0.3)
+    )
     room.project.labels.create(room.frames[0].id, [NewLabel("person", box, track_id=1)], room.context(0))
     (track,) = room.all(room.view).tracks
     (stop,) = track.stops

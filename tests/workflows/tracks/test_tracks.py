@@ -179,7 +179,7 @@ def test_a_box_is_copied_to_its_predicted_position(room: Room) -> None:
     done = copy(room, 1, uid, read=FrameSource(people).read)
     (label,) = room.labels(2)
     assert (label.uid, label.state) == (done.uid, ReviewState.PROPOSED)
-    assert iou_3d(label.box, room.box(2)) > 0.8
+    assert iou_3d(label.box, room.box(2)) > 0.6
     assert np.array_equal(label.box.size_m, people.labels.get(uid).label.box.size_m)
     people.labels.accept(frames[2].id, label.uid, room.context(2))
     with pytest.raises(ConfigError, match=r"in frame 000002: a reviewed box is here already$"):

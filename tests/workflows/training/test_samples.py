@@ -21,7 +21,17 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import TaughtObject, TaughtView, teach_views
 from annotator.recordings import open_recording
 from annotator.synthetic.snapshots import snapshot
-from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, DetectorKind, Proposal, Quality, Source
+from annotator.types import (
+    NO_CORRECTION,
+    Box2D,
+    BoxKind,
+    Correction,
+    DetectorKind,
+    OrientedBox,
+    Proposal,
+    Quality,
+    Source,
+)
 from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
@@ -128,7 +138,7 @@ def test_drawn_views_are_drawn_anew_after_a_correction(people: Project) -> None:
     assert not any(np.array_equal(moved[view], before[view]) for view in before), "the colours are others"
     shown = [np.mean((moved[view] != 114).any(axis=2) == (before[view] != 114).any(axis=2)) for view in before]
     assert min(shown) > 0.5 and np.median(shown) > 0.9, "the boxes are on the same shapes"
-    trained = [sample.load() for sample in views(people, gather(people)) if sample.origin == DRAWN]
+    trained = [sample.rgb for sample in views(people, gather(people)) if sample.origin == DRAWN]
     assert {rgb.tobytes() for rgb in trained} == {rgb.tobytes() for rgb in moved.values()}
     people.adjustments.correct(recording.id, NO_CORRECTION, "me")
     back = {view.view_id: rgb for view, rgb in drawn_pictures(people, people.boxes.on_views(), never)}
@@ -167,15 +177,19 @@ def test_drawn_boxes_replace_the_outlines_of_their_objects(people: Project) -> N
     assert (second.origin, len(second.boxes), second.group) == (PROJECTED, 3, "1/000001")
     assert second.label_uids == uids
     frame = FrameSource(people).read(people.frames.of()[1])
-    np.testing.assert_array_equal(second.load(), frame.rgb)
+    np.testing.assert_array_equal(second.rgb, frame.rgb)
 
 
 def propose_true(project: Project, index: int, place: int) -> str:
     """Creates an unreviewed proposal of the `place`-th object of a frame; returns its uid."""
     recording = open_recording(project.recordings.all()[0].path)
     truth = load_truth(recording, index, recording.frame(index))[place]
+    return propose(project, index, truth.box)
+
+
+def propose(project: Project, index: int, box: OrientedBox) -> str:
     stored = project.frames.of()[index]
-    found = Proposal(truth.label, 0.9, truth.box, SOME, (), Quality(0.0, 1.0, 0.0))
+    found = Proposal("person", 0.9, box, SOME, (), Quality(0.0, 1.0, 0.0))
     context = WriteContext(project.frames.get(stored.id).revision, "rcv", Source.AUTO)
     (uid,) = project.proposals.replace(stored.id, [found], context).uids
     assert uid is not None
@@ -230,7 +244,7 @@ def test_drawn_views_are_used_unchanged(people: Project) -> None:
         assert sample.origin == DRAWN
         assert len(sample.label_uids) == len(sample.boxes)
         assert sample.boxes == view.boxes
-        np.testing.assert_array_equal(sample.load(), people.views.load(view.view_id))
+        np.testing.assert_array_equal(sample.rgb, people.views.load(view.view_id))
         assert view.frame_id is not None
         assert sample.group == f"1/{people.frames.get(view.frame_id).key}"
 
@@ -371,9 +385,10 @@ def test_the_script_trains_and_installs(
 
 
 def test_views_that_show_unreviewed_objects_are_left_out(people: Project) -> None:
-    accept(people, 0, count=1)
+    (uid,) = accept(people, 0, count=1)
     before = views(people, gather(people), 40)
-    propose_true(people, 0, 1)
-    propose_true(people, 0, 2)  # replaces the earlier proposal, so only this one is open
+    box = people.labels.get(uid).label.box
+    floor_m = box.center_m - box.rotation[:, 2] * box.size_m[2] / 2
+    propose(people, 0, OrientedBox.from_parts(floor_m, box.rotation, np.array([1.2, 1.2, 0.3])))
     after = views(people, gather(people, [DetectorKind.VIEW]), 40)
     assert 0 < len(after) < len(before)

@@ -250,17 +250,17 @@ def test_boxes_of_other_objects_on_a_view_are_kept(desk: Desk) -> None:
 def test_changing_a_box_of_the_first_step_removes_the_second_step(desk: Desk) -> None:
     image_box, four = desk.image_box(), desk.four()
     uid = desk.save([image_box], desk.object(image_box, four))
-    wider = Box2D("person", four[0].x_min - 8, four[0].y_min, four[0].x_max + 8, four[0].y_max)
-    desk.save([image_box], desk.object(image_box, [wider, four[1]], uid))
+    lower = Box2D("person", four[0].x_min, four[0].y_min, four[0].x_max, four[0].y_max - 120)
+    desk.save([image_box], desk.object(image_box, [lower, four[1]], uid))
     views = desk.project.boxes.on_views_of(desk.frame_id)
     assert sorted(view.step or 0 for view in views) == [0, 0]
-    assert {view.boxes for view in views} == {(wider,), (four[1],)}
+    assert {view.boxes for view in views} == {(lower,), (four[1],)}
     assert desk.project.labels.get(uid or "").label.state is ReviewState.ACCEPTED, (
         "the label is kept until the new boxes are complete"
     )
-    again = desk.steps([wider, four[1]])
+    again = desk.steps([lower, four[1]])
     last = [desk.draw(view) for view in again.views[2:]]
-    assert desk.save([image_box], desk.object(image_box, [wider, four[1], *last], uid)) == uid
+    assert desk.save([image_box], desk.object(image_box, [lower, four[1], *last], uid)) == uid
     assert desk.project.labels.get(uid or "").label.state is ReviewState.EDITED
 
 
