@@ -29,7 +29,7 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """One small recording of each preset."""
     root = tmp_path_factory.mktemp("generated")
     for preset in PRESETS:
-        write_generated(root / preset, preset, FRAMES, seed=3, **SIZE)
+        write_generated(root / preset, preset, FRAMES, seed=5, **SIZE)
     return {preset: root / preset for preset in PRESETS}
 
 
@@ -42,7 +42,7 @@ def test_a_generated_recording_is_an_rgbd_folder_with_gravity(generated: dict[st
     assert frame.up is not None
     assert frame.up @ [0, -1, 0] > (0.2 if preset == "objects" else 0.9)  # the camera is almost upright, or looks down
     made = json.loads((generated[preset] / "generated.json").read_text())
-    assert made == {"version": 3, "preset": preset, "seed": 3, "frames": FRAMES, "period_s": 0.1}
+    assert made == {"version": 3, "preset": preset, "seed": 5, "frames": FRAMES, "period_s": 0.1}
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -71,7 +71,7 @@ def test_the_truth_is_in_a_separate_folder_and_fits_the_measured_points(generate
 
 
 def test_equal_seeds_give_equal_bytes_and_other_seeds_do_not(generated: dict[str, Path], tmp_path: Path):
-    write_generated(tmp_path / "again", "people", FRAMES, seed=3, **SIZE)
+    write_generated(tmp_path / "again", "people", FRAMES, seed=5, **SIZE)
     assert contents(tmp_path / "again") == contents(generated["people"])
     write_generated(tmp_path / "other", "people", 1, seed=4, **SIZE)
     one, other = (contents(folder)["color/000000.jpg"] for folder in (tmp_path / "again", tmp_path / "other"))
