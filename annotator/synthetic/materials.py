@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import colorsys
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int16, Integer, UInt8
@@ -11,10 +12,8 @@ from jaxtyping import Bool, Float32, Int16, Integer, UInt8
 Colour = tuple[float, float, float]
 GAMMA = 2.2
 PLAIN = (np.inf, np.inf, np.inf)
-# Grain is a sum of waves of these frequencies and phases, radians per grain size; the long ones are the strongest.
-_WAVES = np.random.default_rng(0).normal(0, 1, (3, 10)) * np.geomspace(3, 60, 10)
-_PHASES = np.random.default_rng(1).uniform(0, 2 * np.pi, 10)
-_HEIGHTS = np.geomspace(1.0, 0.3, 10)
+# Side of the periodic volume that grain is taken from.
+GRAINS = 64
 
 
 @dataclass(frozen=True)
@@ -69,9 +68,18 @@ class Palette:
         )
         is_second = np.cos(2 * np.pi * texture / period).prod(axis=1) < 0
         colour = np.where(is_second[:, None], second, first) ** np.float32(GAMMA)
-        waves = np.sin(texture / grain[:, 1:] @ _WAVES.astype(np.float32) + _PHASES.astype(np.float32))
-        noise = waves @ _HEIGHTS.astype(np.float32) / np.float32(np.linalg.norm(_HEIGHTS) / 2**0.5)
-        return np.asarray(colour * np.maximum(1 + grain[:, 0] * noise, 0)[:, None], np.float32)
+        at = tuple(((texture / grain[:, 1:] * GRAINS).astype(np.int64) % GRAINS).T)
+        return np.asarray(colour * np.maximum(1 + grain[:, 0] * _noise()[at], 0)[:, None], np.float32)
+
+
+@cache
+def _noise() -> Float32[np.ndarray, "s s s"]:
+    """Periodic noise with mean 0 and standard deviation 1, with structure at all scales."""
+    frequency = np.fft.fftfreq(GRAINS)
+    radius = np.linalg.norm(np.meshgrid(frequency, frequency, frequency), axis=0)
+    radius[0, 0, 0] = np.inf
+    volume = np.fft.ifftn(np.fft.fftn(np.random.default_rng(0).standard_normal((GRAINS,) * 3)) / radius**1.6).real
+    return (volume / volume.std()).astype(np.float32)
 
 
 @dataclass(frozen=True)

@@ -175,6 +175,7 @@ def armless_body(parts: Parts, looks: Looks, pose: Pose) -> None:
     details = [
         ((0, 0, 0), (0.056, 0.045, 0.068), looks.skin),
         ((0.056, 0, -0.01), (0.012, 0.008, 0.014), looks.skin),  # the nose, so that front and back differ
+        *(((0.052, side * 0.018, 0.012), (0.004, 0.006, 0.004), looks.dark) for side in (-1, 1)),
         ((-0.012, 0, 0.02), (0.055, 0.05, 0.058), looks.dark),
     ]
     if looks.long_hair:

@@ -15,7 +15,6 @@ from annotator.synthetic.arrangements import Actor, Arrangement, Placed, room, t
 from annotator.synthetic.hands import hand_mesh, moving
 from annotator.synthetic.materials import Lights, Material, Palette, random_colour, wood
 from annotator.synthetic.mesh import Mesh, Parts, box_mesh, joined, turn, xyz
-from annotator.synthetic.objects import random_object
 from annotator.synthetic.people import (
     PERIOD_S,
     Looks,
@@ -37,11 +36,36 @@ SHELL = (
     ((-3.15, 2.2, 1.35), (0.1, 6.8, 2.7)),
     ((3.15, 2.2, 1.35), (0.1, 6.8, 2.7)),
 )
-# Places (x, y) of the furniture along its walls, and the range of its longest side, metres.
-PLACES = ((-2.5, 5.0), (-1.0, 5.2), (0.6, 5.2), (2.3, 5.0), (-2.6, 3.4), (2.6, 3.4))
-FURNITURE_M = (0.6, 1.2)
+# Places of a chair's legs along x, and their heights; heights of a shelf's boards.
+CHAIR = ((1.47, 0.92), (1.83, 0.42))
+SHELVES = (0.06, 0.43, 0.8, 1.16, 1.53, 1.9)
+# Middle and size of the furniture's parts, by what they are made of, metres; half of the rooms are mirrored.
+FURNITURE = {
+    "wood": (
+        # a table, two chairs and a shelf
+        ((2.25, 4.0, 0.72), (0.95, 1.5, 0.04)),
+        *(((2.25 + dx, 4.0 + dy, 0.35), (0.06, 0.06, 0.7)) for dx in (-0.42, 0.42) for dy in (-0.69, 0.69)),
+        *(((1.65, y, 0.44), (0.42, 0.42, 0.04)) for y in (3.6, 4.4)),
+        *(((x, y + dy, h / 2), (0.04, 0.04, h)) for x, h in CHAIR for y in (3.6, 4.4) for dy in (-0.18, 0.18)),
+        *(((1.47, y, z), (0.025, 0.38, 0.07)) for y in (3.6, 4.4) for z in (0.6, 0.74, 0.88)),
+        *(((x, 5.43, 0.95), (0.03, 0.3, 1.9)) for x in (-3.03, -2.07)),
+        *(((-2.55, 5.43, z), (0.95, 0.3, 0.03)) for z in SHELVES),
+    ),
+    "cloth": (
+        # a sofa
+        ((-0.9, 5.08, 0.24), (2.0, 0.9, 0.34)),
+        ((-0.9, 5.42, 0.5), (2.0, 0.28, 0.72)),
+        *(((x, 5.08, 0.34), (0.24, 0.9, 0.56)) for x in (-1.88, 0.08)),
+        *(((x, 5.04, 0.45), (0.86, 0.76, 0.16)) for x in (-1.34, -0.46)),
+    ),
+    "cardboard": (((-2.0, 3.7, 0.2), (0.55, 0.45, 0.4)), ((-1.97, 3.72, 0.55), (0.42, 0.4, 0.3))),
+    "rug": (((0.0, 3.3, 0.006), (2.1, 1.7, 0.012)),),
+    "frames": (*(((x, 5.59, 1.7), (0.75, 0.024, 0.55)) for x in (-1.5, -0.5)), ((2.1, 5.59, 1.6), (1.2, 0.03, 1.2))),
+    "pictures": tuple(((x, 5.58, 1.7), (0.65, 0.03, 0.45)) for x in (-1.5, -0.5)),
+    "sky": (((2.1, 5.58, 1.6), (1.08, 0.04, 1.08)),),
+}
 # Depths between which people pace, and their reach to the sides: share of the depth, and a margin, metres.
-NEAR_M, FAR_M, SIDEWAYS, MARGIN_M = 2.6, 4.4, 0.5, 0.3
+NEAR_M, FAR_M, SIDEWAYS, MARGIN_M = 2.6, 4.4, 0.42, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +92,37 @@ class Scene:
 
 
 def _furnished_room(palette: Palette, random: np.random.Generator) -> Mesh:
-    walls = palette.add(Material(random_colour(random, 0.12, 0.85), grain=0.03, grain_m=0.8))
+    walls = palette.add(Material(random_colour(random, 0.12, 0.75), grain=0.03, grain_m=0.8))
     surfaces = [palette.add(wood(random)), *[walls] * (len(SHELL) - 1)]
     shell = [box_mesh(*place, surface) for place, surface in zip(SHELL, surfaces, strict=True)]
-    things = [random_object(palette, random).scaled(random.uniform(*FURNITURE_M)) for _ in PLACES]
-    turns = [turn("z", float(random.uniform(0, 2 * np.pi))) for _ in PLACES]
-    placed = zip(things, turns, PLACES, strict=True)
-    return joined([*shell, *(thing.moved(yaw, xyz(x, y, 0)) for thing, yaw, (x, y) in placed)])
+    made_of = {
+        "wood": wood(random),
+        "cloth": Material(random_colour(random, 0.4, 0.5), grain=0.2),
+        "cardboard": Material((0.68, 0.52, 0.35)),
+        "rug": Material(random_colour(random, 0.45, 0.55), random_colour(random, 0.45, 0.4), (0.5, 0.5, np.inf)),
+        "frames": Material((0.2, 0.17, 0.15)),
+        "pictures": Material(random_colour(random), grain=0.4, grain_m=0.6),
+        "sky": Material((0.85, 0.93, 1.0), grain=0.05),
+    }
+    parts = Parts()
+    for name, boxes in FURNITURE.items():
+        material = palette.add(made_of[name])
+        for center, size in boxes:
+            if name == "cloth":
+                parts.ball(np.array(center), 0.5 * np.array(size), material, power=8)
+            else:
+                parts.slab(np.array(center), np.array(size), material)
+    for z in SHELVES[:-1]:
+        # books
+        for x in np.arange(-2.98, -2.12, 0.07):
+            colour, tall = random_colour(random, 0.55, 0.6), random.uniform(0.2, 0.32)
+            parts.slab(
+                xyz(x, 5.45, z + 0.015 + tall / 2),
+                xyz(random.uniform(0.03, 0.07), 0.2, tall),
+                palette.add(Material(colour)),
+            )
+    side = random.choice([-1.0, 1.0])
+    return joined([*shell, parts.mesh().moved(np.diag([side, 1.0, 1.0]))])
 
 
 def people_scene(random: np.random.Generator) -> Scene:
