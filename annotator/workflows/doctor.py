@@ -33,7 +33,7 @@ from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.pretrained import TITLE, base_weights, has_base
 from annotator.detection.trained import read_trained
 from annotator.detection.ultralytics_api import cache_dir
-from annotator.files import sha256_of
+from annotator.files import read_text_file, sha256_of
 from annotator.types.bases import Strict
 from annotator.types.errors import AnnotatorError, MissingExtraError
 from annotator.types.messages import amount
@@ -130,7 +130,7 @@ def machine(projects: Path) -> Iterator[Line]:
     yield of("system", platform.platform())
     model = platform.processor() or platform.machine()
     with suppress(OSError, StopIteration):
-        lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
+        lines = read_text_file(Path("/proc/cpuinfo"), errors="replace").splitlines()
         model = next(text.partition(":")[2].strip() for text in lines if text.startswith("model name"))
     yield of("processor", f"{model}, {amount(os.cpu_count() or 1, 'core')}, {usable_cores()} of them for this process")
     total, free = _memory_bytes()
@@ -158,7 +158,7 @@ def _memory_bytes() -> tuple[int, int]:
     memory = psutil.virtual_memory()
     total = memory.total
     with suppress(OSError, ValueError):  # it says "max" without a limit
-        total = min(total, int(Path("/sys/fs/cgroup/memory.max").read_text()))
+        total = min(total, int(read_text_file(Path("/sys/fs/cgroup/memory.max"))))
     return total, min(memory.available, total)
 
 
