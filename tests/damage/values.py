@@ -35,7 +35,7 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent.parent)]
 
-import targets  # noqa: E402, F401, I001  first: it names the folders of the samples
+import search  # noqa: E402, F401, I001  first: it names the folders of the samples
 import laspy  # noqa: E402
 import numpy as np  # noqa: E402
 from known_numbers import TARGETS, Numbers, Reading, Target  # noqa: E402
