@@ -11,6 +11,7 @@ import pytest
 from cloud_samples import SCAN, image
 from kitti_samples import LIDAR, P2, R0, TR, TRACKING_CALIB, by_formula
 from small_recordings import kitti_object, kitti_raw, kitti_tracking
+from test_kitti_formats import document, pose, tracklet
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
@@ -184,19 +185,12 @@ def test_errors_name_the_damaged_file(
     assert caught.value.path == path
 
 
-TRACKLETS = """<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>
-<!DOCTYPE boost_serialization>
-<boost_serialization><tracklets><count>1</count><item>
-<objectType>Car</objectType><h>1.5</h><w>1.6</w><l>4</l><first_frame>1</first_frame><poses><count>2</count>
-<item><tx>9</tx><ty>1</ty><tz>-1.7</tz><rx>0</rx><ry>0</ry><rz>0.3</rz><truncation>0</truncation></item>
-<item><tx>10</tx><ty>1</ty><tz>-1.7</tz><rx>0</rx><ry>0</ry><rz>0.3</rz><truncation>0</truncation></item>
-</poses></item></tracklets></boost_serialization>
-"""
+CAR = tracklet("Car", (1.5, 1.6, 4), 1, pose(9, 1, -1.7, 0.3), pose(10, 1, -1.7, 0.3))
 
 
 def test_tracklets_are_read_as_labels_in_the_camera_frame(drive: Path):
     assert not has_truth(open_recording(drive))
-    (drive / "tracklet_labels.xml").write_text(TRACKLETS)
+    (drive / "tracklet_labels.xml").write_text(document(CAR))
     recording = open_recording(drive)
     found = [load_truth(recording, i, recording.frame(i)) for i in range(3)]
     # the poses are for frames 1 and 2; the recording has frames 0, 2 and 3
