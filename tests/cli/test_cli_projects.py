@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
+from rgbd_samples import wall, write_rgbd
 
 from annotator.cli.main import main
 from annotator.geometry.oriented_box import same_box
@@ -20,23 +20,6 @@ from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.recorded.adjusting import correct_calibration
 
 Run = Callable[..., str]
-WIDTH, HEIGHT = 8, 6
-
-
-def write_recording(folder: Path, frames: int = 3) -> Path:
-    """An RGB-D folder of a wall at 1 m."""
-    for name in ("color", "depth"):
-        (folder / name).mkdir(parents=True)
-    camera = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [10, 0, 0, 0, 10, 0, 3.5, 2.5, 1]}
-    (folder / "camera_intrinsic.json").write_text(json.dumps(camera))
-    for number in range(frames):
-        add_frame(folder, number)
-    return folder
-
-
-def add_frame(folder: Path, number: int) -> None:
-    cv2.imwrite(str(folder / f"color/{number:06d}.png"), np.full((HEIGHT, WIDTH, 3), 128, np.uint8))
-    cv2.imwrite(str(folder / f"depth/{number:06d}.png"), np.full((HEIGHT, WIDTH), 1000, np.uint16))
 
 
 @pytest.fixture
@@ -51,18 +34,18 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_new_project_with_recordings(
     root: Path, tmp_path: Path, run: Run, stats: Callable[[str], dict[str, Any]]
 ) -> None:
-    recording = write_recording(tmp_path / "hands take 1")
+    recording = write_rgbd(tmp_path / "hands take 1", wall(3))
     assert main(["new", "hands", "--classes", "left hand", "right hand", "--rotation", "free"]) == 0
     config = json.loads((root / "hands" / "project.json").read_text())
     assert config["classes"] == ["left hand", "right hand"]
     assert config["settings"]["rotation"] == "free"
 
-    added = run("add", "hands", recording, write_recording(tmp_path / "b", 2))
+    added = run("add", "hands", recording, write_rgbd(tmp_path / "b", wall(2)))
     assert "added hands take 1: 3 frames (rgbd_folder)" in added
     counts = stats("hands")
     assert (counts["recordings"], counts["frames"]) == (2, 5)
 
-    add_frame(recording, 7)
+    write_rgbd(recording, wall(4))
     assert "is already in the project: 1 new frame" in run("add", "hands", recording)
     assert stats("hands")["frames"] == 6
 
@@ -81,7 +64,7 @@ def test_the_projects_option_overrides_the_environment_variable(root: Path, tmp_
 
 
 def test_inspect_describes_a_recording(tmp_path: Path, run: Run) -> None:
-    recording = write_recording(tmp_path / "wall")
+    recording = write_rgbd(tmp_path / "wall", wall(3))
     (recording / "color/000000.png").unlink()
     said = run("inspect", recording)
     for text in ("rgbd_folder", "3 (000000 to 000002)", "frame 000000  cannot be read", "8 x 6 px", "48 with colour"):
@@ -91,7 +74,7 @@ def test_inspect_describes_a_recording(tmp_path: Path, run: Run) -> None:
     assert report["frames"] == 3
     assert list(report["broken"]) == ["000000"]
     assert report["frame"]["key"] == "000001"
-    assert report["frame"]["points"] == WIDTH * HEIGHT
+    assert report["frame"]["points"] == 48
     assert report["frame"]["nearest_m"] == report["frame"]["farthest_m"] == 1.0
     assert report["has_labels"] is False
 

@@ -116,7 +116,12 @@ def test_each_camera_has_the_boxes_that_it_sees(tmp_path: Path) -> None:
         T_camera_ego = (ego_pose(START_US + delay_us) * mount(channel)).inv() * ego_pose(START_US)
         np.testing.assert_allclose(truth.box.center_m, T_camera_ego.apply([x_m, 0.5, 1.0]), atol=1e-9)
         np.testing.assert_allclose(truth.box.rotation, T_camera_ego.rotation.as_matrix(), atol=1e-9)
-    path = tmp_path / "v1.0-mini" / "ego_pose.json"
+    annotations, path = (tmp_path / "v1.0-mini" / f"{name}.json" for name in ("sample_annotation", "ego_pose"))
+    whole = annotations.read_text()
+    annotations.write_text(json.dumps([row | {"rotation": [0, 0, 0, 0]} for row in json.loads(whole)]))
+    with pytest.raises(FormatError, match=r"row ap0-0ahead: rotation: .* not a unit quat"):
+        read_nuscenes(tmp_path)
+    annotations.write_text(whole)
     for text, problem in (
         ("[]", r"sample_data\.json: row \S+: refers to the token \S+, which is not in ego_pose\.json"),
         ('[\n{"token": "F",', r"ego_pose\.json: is cut off"),

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rgbd_samples import png, write_rgbd
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.projection import project
@@ -22,10 +23,6 @@ from annotator.workflows.checking.dataset_check import check_datasets
 
 WIDTH, HEIGHT = 12, 8
 INTRINSICS = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [10.0, 0, 0, 0, 11.0, 0, 5.5, 3.5, 1]}
-
-
-def png(image: np.ndarray) -> bytes:
-    return cv2.imencode(".png", image)[1].tobytes()
 
 
 @pytest.fixture
@@ -43,13 +40,7 @@ def depth() -> np.ndarray:
 @pytest.fixture
 def folder(tmp_path: Path, color: np.ndarray, depth: np.ndarray) -> Path:
     """A recording of the frames 000000 and 000001, with the same image."""
-    for name in ("color", "depth"):
-        (tmp_path / name).mkdir()
-    (tmp_path / "camera_intrinsic.json").write_text(json.dumps(INTRINSICS))
-    for key in ("000000", "000001"):
-        (tmp_path / "color" / f"{key}.png").write_bytes(png(color[:, :, ::-1]))
-        (tmp_path / "depth" / f"{key}.png").write_bytes(png(depth))
-    return tmp_path
+    return write_rgbd(tmp_path, dict.fromkeys(("000000", "000001"), (color, depth)), **INTRINSICS)
 
 
 def test_a_frame_has_its_image_depth_and_coloured_cloud(folder: Path, color: np.ndarray, depth: np.ndarray):
