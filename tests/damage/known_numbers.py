@@ -59,7 +59,6 @@ class Numbers:
         odd_m: rows that are no points.
         colours, shares: how colours and reflectances are written.
         hole: what is written where there is no depth.
-        grey_bits: the image is a grey one whose values have so many bits; 0 = as it is.
     """
 
     xyz_m: np.ndarray
@@ -76,7 +75,6 @@ class Numbers:
     colours: str = "bytes"
     shares: str = "floats"
     hole: float = 0.0
-    grey_bits: int = 0
 
     @classmethod
     def drawn(cls, draw: random.Random) -> Numbers:
@@ -126,9 +124,6 @@ class Numbers:
 
     def picture(self) -> np.ndarray:
         """The image."""
-        if self.grey_bits:
-            grey = self.image[..., 0].astype(np.uint32) * (2**self.grey_bits - 1) // 255
-            return grey.astype(np.uint8 if self.grey_bits <= 8 else np.uint16)
         return self.image.astype(np.uint16) * 257 if self.colours == "words" else self.image
 
     def depths(self, kind: type, unit_m: float) -> np.ndarray:
@@ -286,7 +281,7 @@ def write_bag(encoding: str, folder: Path, n: Numbers) -> None:
     with BagWriter(folder, "ros1") as bag:
         for time_ns in (START_NS, START_NS + 100 * MS):
             bag.info("/cam/camera_info", time_ns, SIZE, K)
-            bag.image("/cam/image_raw", time_ns, n.picture(), {0: "rgb8", 8: "mono8"}.get(n.grey_bits, "mono16"))
+            bag.image("/cam/image_raw", time_ns, n.picture(), "rgb8")
             bag.image("/cam/depth/image_raw", time_ns, depth, encoding)
 
 
@@ -349,9 +344,13 @@ class Target:
 def cloud(name: str, *ways: str) -> Target:
     suffix, lacks = f".{name.partition('_')[0]}", {"bin": "colours", "npy": "reflectances", "npz": "reflectances"}
     known = tuple(each for each in ("corners", "points", "colours", "reflectances") if each != lacks.get(name))
-    edits = ("degrees", *(["saturated"] if "la" in name else []))
     return Target(
-        f"cloud_{name}", partial(write_scan, suffix, CLOUDS[name]), partial(read_scan, suffix), known, ways, edits
+        f"cloud_{name}",
+        partial(write_scan, suffix, CLOUDS[name]),
+        partial(read_scan, suffix),
+        known,
+        ways,
+        ("degrees",),
     )
 
 
@@ -384,7 +383,7 @@ def read_bag(folder: Path) -> Reading:
 
 
 FLOATS, COLOURS, MAP = ("nan", "inf"), ("words", "floats", "float_bytes"), ("map", "map_zero")
-OF_CAMERA, IMAGES = ("image", "depth"), ("grey_8", "grey_10", "grey_12", "grey_16", "hole_65535")
+OF_CAMERA = ("image", "depth")
 HOLES = ("hole_nan", "hole_inf", "hole_-inf", "hole_-1", "hole_65504")
 CLASSES = ("hand",)
 BUILT = {build.__name__: build for build in small.BUILDERS}
@@ -409,11 +408,11 @@ TARGETS: list[Target] = [
     cloud("bin", *FLOATS, "share_bytes"),
     cloud("las", "words", *MAP),
     cloud("laz", "words", *MAP),
-    Target("rgbd", write_rgbd, read_recording, OF_CAMERA, ("words", *IMAGES), ("nfd",)),
-    Target("tum_rgbd", write_tum, read_recording, OF_CAMERA, ("words", *IMAGES), ("backslash",)),
+    Target("rgbd", write_rgbd, read_recording, OF_CAMERA, ("words", "hole_65535"), ("nfd",)),
+    Target("tum_rgbd", write_tum, read_recording, OF_CAMERA, ("words", "hole_65535"), ("backslash",)),
     Target("record3d", partial(write_phone, phone_samples.write_record3d), read_phone, (), HOLES),
     Target("stray_scanner", partial(write_phone, phone_samples.write_stray_scanner), read_phone),
-    Target("bag_16UC1", partial(write_bag, "16UC1"), read_bag, OF_CAMERA, IMAGES),
+    Target("bag_16UC1", partial(write_bag, "16UC1"), read_bag, OF_CAMERA, ("hole_65535",)),
     Target("bag_32FC1", partial(write_bag, "32FC1"), read_bag, OF_CAMERA, HOLES),
     *map(sample, ("kitti_object", "kitti_raw", "sunrgbd_extracted", "argoverse2", "cloud_folder")),
     sample("nuscenes", "quaternion", "backslash"),
