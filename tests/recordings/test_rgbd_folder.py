@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -129,48 +128,6 @@ def test_a_missing_image_affects_only_its_frame(folder: Path):
     with pytest.raises(FrameError, match=r"color/000001\.png: missing; .* beside depth/000001\.png"):
         recording.frame(1)
     assert recording.frame(2).key == "000002"
-
-
-def truncate(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-20])
-
-
-def intrinsics(**change: object) -> Callable[[Path], None]:
-    return lambda path: path.write_text(json.dumps(INTRINSICS | change)) and None
-
-
-def image(array: np.ndarray) -> Callable[[Path], None]:
-    return lambda path: path.write_bytes(png(array)) and None
-
-
-COLOR, DEPTH, CAMERA = "color/000000.png", "depth/000000.png", "camera_intrinsic.json"
-DAMAGES = [
-    pytest.param(COLOR, truncate, "the image is damaged or truncated", id="truncated-colour"),
-    pytest.param(DEPTH, image(np.ones((HEIGHT, WIDTH), np.uint8)), "8-bit with 1", id="8-bit-depth"),
-    pytest.param(
-        DEPTH, image(np.ones((HEIGHT, 9), np.uint16)), "the image is 9 x 8 pixels, but the col", id="depth-size"
-    ),
-    pytest.param(COLOR, image(np.ones((6, WIDTH, 3), np.uint8)), "is 12 x 6 pixels, but the camera in", id="size"),
-    pytest.param(DEPTH, image(np.zeros((HEIGHT, WIDTH), np.uint16)), "the cloud is empty", id="no-depth"),
-    pytest.param(CAMERA, Path.unlink, "missing; write width", id="no-camera"),
-    pytest.param(CAMERA, intrinsics(intrinsic_matrix=[9, 0, 5, 0, 9, 4, 0, 0, 1]), "column by column", id="row-major"),
-    pytest.param("gravity.json", lambda p: p.write_text('{"up": [0, 0, 0]}'), "up has length 0", id="gravity-zero"),
-]
-
-
-@pytest.mark.parametrize(("name", "damage", "complaint"), DAMAGES)
-def test_damage_is_an_error_with_file_cause_and_solution(
-    folder: Path, name: str, damage: Callable[[Path], object], complaint: str
-):
-    damage(folder / name)
-    recording = open_recording(folder)
-    with pytest.raises(FrameError, match=complaint) as caught:
-        recording.frame(0)
-    assert caught.value.path == folder / name
-    assert str(caught.value).startswith(f"{folder / name}: ")
-    assert "; " in str(caught.value)  # the solution
-    if "/" in name:
-        assert recording.frame(1).key == "000001"  # the other frame can be read
 
 
 def test_sun_rgbds_rotated_depth_is_noticed(folder: Path, depth: np.ndarray):

@@ -124,26 +124,6 @@ def damage(name: str, content: bytes | None) -> Callable[[Path], Path]:
     return apply
 
 
-EXTRACTED_DAMAGES = [
-    (damage("calib/000001.txt", None), "the calibration is missing"),
-    (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 1\n"), "must have two lines"),
-    (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 2\n1 0 0 0 1 0 0 0 1"), "the tilt is not a rotation"),
-    (damage("[dp]*/000001.*", b""), "is not a MATLAB file|the file is empty"),
-]
-
-
-@pytest.mark.parametrize(("harm", "complaint"), EXTRACTED_DAMAGES)
-def test_errors_of_a_damaged_extracted_frame_name_the_file(
-    extracted: Path, harm: Callable[[Path], Path], complaint: str
-):
-    path = harm(extracted)
-    recording = open_recording(extracted)
-    with pytest.raises(FrameError, match=complaint) as caught:
-        recording.frame(0)
-    assert caught.value.path.with_suffix("") == path.with_suffix("")
-    assert recording.frame(1).key == "000002"
-
-
 SCENE_DAMAGES = [
     (damage("image/*", None), "has no .png or .jpg or .jpeg file"),
     (damage("extrinsics/20160101.txt", b"1 2 3"), "must have 12 numbers"),
