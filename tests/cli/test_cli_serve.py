@@ -214,16 +214,3 @@ def test_the_path_of_a_recording_in_the_project_is_refused(
     assert live("--limit", 1, "--record", out) == 2
     assert "the project has a recording there already, seen" in " ".join(capsys.readouterr().err.split())
     assert not out.exists()
-
-
-def test_unusable_arguments_of_live_are_errors(
-    live: Callable[..., int], capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "pyk4a", None)
-    refused: list[tuple[tuple[object, ...], dict[str, str], str]] = [
-        ((), {"source": "kinect"}, "an Azure Kinect needs pyk4a, which cannot be imported"),
-        (("--loop",), {"source": "kinect:0"}, "a device has its own rate"),
-    ]
-    for words, source, said in refused:
-        assert live(*words, **source) == 2
-        assert said in " ".join(capsys.readouterr().err.split())

@@ -52,6 +52,7 @@ REFUSALS = [
     ("serve --folder no/such", "--folder no/such: no such folder"),
     ("serve --host 0.0.0.0 --no-token", "it needs a token"),
     ("serve --token-file no/such --no-token", "exclude each other"),
+    ("live room kinect:0 --loop", "a device has its own rate"),
     # what is set for a recording
     ("up room people 1 2", "three"),
     ("up room people 0 -1 0 --clear", "three"),
