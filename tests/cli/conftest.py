@@ -25,6 +25,15 @@ def made_rooms(made_once: Callable[[str, Callable[[Path], object]], Path], gener
 
 
 @pytest.fixture
+def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of projects, set by the environment variable; commands run in its parent."""
+    folder = tmp_path / "my projects"
+    monkeypatch.setenv("ANNOTATOR_PROJECTS", str(folder))
+    monkeypatch.chdir(tmp_path)
+    return folder
+
+
+@pytest.fixture
 def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
     """`run("stats room")`, `run("add", "room", path, code=2)`: what a command prints; of a refused one, its error."""
 

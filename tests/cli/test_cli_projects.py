@@ -22,15 +22,6 @@ from annotator.workflows.recorded.adjusting import correct_calibration
 Run = Callable[..., str]
 
 
-@pytest.fixture
-def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder of projects, set by the environment variable."""
-    folder = tmp_path / "my projects"
-    monkeypatch.setenv("ANNOTATOR_PROJECTS", str(folder))
-    monkeypatch.chdir(tmp_path)
-    return folder
-
-
 def test_a_new_project_with_recordings(
     root: Path, tmp_path: Path, run: Run, stats: Callable[[str], dict[str, Any]]
 ) -> None:

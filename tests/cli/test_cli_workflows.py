@@ -23,15 +23,6 @@ Stats = Callable[[str], dict[str, Any]]
 
 
 @pytest.fixture
-def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder of projects, set by the environment variable; commands run in its parent."""
-    folder = tmp_path / "projects here"
-    monkeypatch.setenv("ANNOTATOR_PROJECTS", str(folder))
-    monkeypatch.chdir(tmp_path)
-    return folder
-
-
-@pytest.fixture
 def project(root: Path, made_rooms: Path) -> str:
     """A project of class person, with a recording but without its labels."""
     shutil.copytree(made_rooms / "plain", root)

@@ -116,6 +116,9 @@ def test_each_camera_has_the_boxes_that_it_sees(tmp_path: Path) -> None:
         T_camera_ego = (ego_pose(START_US + delay_us) * mount(channel)).inv() * ego_pose(START_US)
         np.testing.assert_allclose(truth.box.center_m, T_camera_ego.apply([x_m, 0.5, 1.0]), atol=1e-9)
         np.testing.assert_allclose(truth.box.rotation, T_camera_ego.rotation.as_matrix(), atol=1e-9)
+    # an object of one frame is no track
+    (alone, _) = read_nuscenes(small(tmp_path / "one", scenes=1, samples=1, sweeps=0)).values()
+    assert [each.track_id for each in alone.truths] == [None]
     annotations, path = (tmp_path / "v1.0-mini" / f"{name}.json" for name in ("sample_annotation", "ego_pose"))
     whole = annotations.read_text()
     annotations.write_text(json.dumps([row | {"rotation": [0, 0, 0, 0]} for row in json.loads(whole)]))
