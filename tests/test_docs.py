@@ -1,8 +1,12 @@
-"""The documentation: its pictures are shown and small, its links lead somewhere, its promises name their tests."""
+"""The documentation: its pictures are shown and small, its links lead somewhere, its promises name their tests.
+
+The extras that errors name exist, too.
+"""
 
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -66,3 +70,11 @@ def test_every_promise_names_a_test() -> None:
     rows = [line for line in text.splitlines() if line.startswith("| ") and not line.startswith("| promised")]
     assert len(rows) > 20
     assert [row for row in rows if not re.search(r"\| `[^|]*(test|fuzz)[^|]* \|$", row)] == []
+
+
+def test_extras_named_in_errors_exist() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    code = "\n".join(path.read_text() for path in (ROOT / "annotator").rglob("*.py"))
+    named = re.findall(r'MissingExtraError\("[^"]+", "(\w+)"\)|rcv-annotator\[(\w+)\]', code)
+    assert len(named) >= 5
+    assert {name for pair in named for name in pair if name} <= set(extras)

@@ -17,6 +17,7 @@ K = np.array([[30.0, 0.0, 15.5], [0.0, 30.0, 11.5], [0.0, 0.0, 1.0]])
 RGB = np.random.default_rng(0).integers(0, 256, (H, W, 3), np.uint8)
 DEPTH = np.full((H, W), 2.0, np.float32)
 # x forward, y left, z up, as most LiDARs have it
+OF_T = "T_camera_points"
 T_CAMERA_LIDAR = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 
 
@@ -68,21 +69,6 @@ def test_float_and_rgba_images_are_converted(given: Any) -> None:
     assert (rgbd(RGB[..., 0]).rgb == RGB[..., :1]).all()
 
 
-@pytest.mark.parametrize(
-    ("rgb", "words"),
-    [
-        (RGB.astype(np.float64), ["0..1", "astype"]),
-        (RGB.astype(np.uint16), ["uint16", "uint8"]),
-        (np.moveaxis(RGB, -1, 0), ["(H, W, 3)", "moveaxis"]),
-        (RGB[..., :2], ["(H, W, 3)"]),
-        (np.where(RGB[0, 0] == RGB, np.nan, RGB / 255.0), ["NaN"]),
-    ],
-    ids=["floats to 255", "16 bits", "channels first", "two channels", "NaN"],
-)
-def test_ambiguous_images_are_errors(rgb: np.ndarray, words: list[str]) -> None:
-    refused(lambda: rgbd(rgb), *words)
-
-
 def test_integer_depth_is_millimetres_and_float_depth_is_metres() -> None:
     expected = rgbd().cloud.xyz_m
     for depth in (np.full((H, W), 2000, np.uint16), np.full((H, W), 2000, np.int32), np.full((H, W, 1), 2000)):
@@ -100,44 +86,12 @@ def test_zero_and_non_finite_depth_gives_no_points() -> None:
     assert frame.depth_m is not None and (frame.depth_m[0, :4] == 0).all()
 
 
-@pytest.mark.parametrize(
-    ("depth", "more", "words"),
-    [
-        (DEPTH * 1000, {}, ["2000", "metres", "depth_scale=1000"]),
-        (DEPTH.astype(np.int64), {}, ["integers up to 2", "depth_scale"]),
-        (DEPTH[:-1], {}, ["(23, 32)", "(24, 32)", "register"]),
-        (np.zeros_like(DEPTH), {}, ["no pixel has a depth"]),
-        (-DEPTH, {}, ["negative", "z points away"]),
-        (DEPTH, {"depth_scale": 0.0}, ["positive"]),
-    ],
-)
-def test_ambiguous_or_unusable_depth_is_an_error(depth: np.ndarray, more: dict[str, Any], words: list[str]) -> None:
-    refused(lambda: rgbd(depth=depth, **more), *words)
-
-
 @pytest.mark.parametrize("make", [rgbd, cloud], ids=["rgbd", "points"])
 def test_intrinsics_are_a_matrix_four_numbers_or_a_camera(make: Callable[..., annotator.Frame]) -> None:
     camera = annotator.Camera(W, H, 30.0, 30.0, 15.5, 11.5)
     for given in (K, K.tolist(), (30, 30, 15.5, 11.5), camera):
         assert make(intrinsics=given).camera == camera or make(intrinsics=given).camera.matrix.tolist() == K.tolist()
     assert make(distortion=(0.1, 0.0, 0.0, 0.0)).camera.distortion == (0.1, 0.0, 0.0, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        (K.T, ["transposed", "K.T"]),
-        (np.diag([30.0, 30, 2]), ["0 0 1"]),
-        (np.hstack([K, np.zeros((3, 1))]), ["(3, 4)"]),
-        (K + np.array([[0, 3, 0], [0, 0, 0], [0, 0, 0]]), ["skew"]),
-        ((15.5, 11.5, 300, 300), ["principal point", "resolution"]),
-        ((0.9, 1.2, 0.5, 0.5), ["pixels", "fractions"]),
-        ((np.nan, 30, 15.5, 11.5), ["finite"]),
-        (annotator.Camera(64, 48, 60.0, 60.0, 31.5, 23.5), ["64 x 48", "32 x 24"]),
-    ],
-)
-def test_invalid_intrinsics_are_errors(given: Any, words: list[str]) -> None:
-    refused(lambda: rgbd(intrinsics=given), *words)
 
 
 def test_points_are_transformed_to_the_camera_and_coloured_by_their_pixel() -> None:
@@ -170,21 +124,6 @@ def test_points_in_map_coordinates_are_precise_and_zeros_are_no_returns() -> Non
     refused(lambda: cloud(points, T=T_CAMERA_LIDAR), "for map coordinates the T_camera_points")
 
 
-@pytest.mark.parametrize(
-    ("T", "words"),
-    [
-        (np.diag([1.0, -1, 1, 1]) @ T_CAMERA_LIDAR, ["mirror", "-1"]),
-        (np.diag([2.0, 2, 2, 1]) @ T_CAMERA_LIDAR, ["scale"]),
-        (T_CAMERA_LIDAR[:3], ["(4, 4)"]),
-        (np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [1, 2, 3, 1]]), ["transposed"]),
-        (np.full((4, 4), np.nan), ["finite"]),
-        (RigidTransform.from_rotation(Rotation.identity(2)), ["not a stack"]),
-    ],
-)
-def test_a_transform_that_is_not_rigid_is_refused(T: Any, words: list[str]) -> None:
-    refused(lambda: cloud(T=T), "T_camera_points", *words)
-
-
 def test_points_outside_the_image_are_an_error_with_the_likely_cause() -> None:
     behind = np.array([[0.0, 0, -2], [0, 0.1, -2], [0.1, 0, -3]])
     refused(lambda: cloud(behind, T=None), "0 of 3 points lie on the image", "0 are in front")
@@ -193,23 +132,55 @@ def test_points_outside_the_image_are_an_error_with_the_likely_cause() -> None:
     refused(lambda: cloud(ahead[ahead[:, 0] > 5], T=None), "check T_camera_points", "z up", "p_camera = T @ p_points")
 
 
-@pytest.mark.parametrize(
-    ("points", "words"),
-    [
-        (lidar_points().T, ["xyz.T"]),
-        (np.hstack([lidar_points(), np.ones((4000, 1))]), ["(4000, 4)", "reflectance"]),
-        (lidar_points().reshape(40, 100, 3), ["reshape"]),
-        (np.full((5, 3), np.nan), ["no finite point"]),
-        (lidar_points() * 1000, ["millimetres"]),
-    ],
-)
-def test_invalid_point_arrays_are_errors(points: Any, words: list[str]) -> None:
-    refused(lambda: cloud(points), *words)
+WRONG: dict[str, tuple[Callable[..., object], dict[str, Any], list[str]]] = {
+    "floats to 255": (rgbd, {"rgb": RGB.astype(np.float64)}, ["0..1", "astype"]),
+    "16 bits": (rgbd, {"rgb": RGB.astype(np.uint16)}, ["uint16", "uint8"]),
+    "channels first": (rgbd, {"rgb": np.moveaxis(RGB, -1, 0)}, ["(H, W, 3)", "moveaxis"]),
+    "two channels": (rgbd, {"rgb": RGB[..., :2]}, ["(H, W, 3)"]),
+    "NaN": (rgbd, {"rgb": np.where(RGB[0, 0] == RGB, np.nan, RGB / 255.0)}, ["NaN"]),
+    "depth in millimetres": (rgbd, {"depth": DEPTH * 1000}, ["2000", "metres", "depth_scale=1000"]),
+    "small integers as depth": (rgbd, {"depth": DEPTH.astype(np.int64)}, ["integers up to 2", "depth_scale"]),
+    "depth of another size": (rgbd, {"depth": DEPTH[:-1]}, ["(23, 32)", "(24, 32)", "register"]),
+    "no depth": (rgbd, {"depth": np.zeros_like(DEPTH)}, ["no pixel has a depth"]),
+    "negative depth": (rgbd, {"depth": -DEPTH}, ["negative", "z points away"]),
+    "no scale": (rgbd, {"depth_scale": 0.0}, ["positive"]),
+    "transposed matrix": (rgbd, {"intrinsics": K.T}, ["transposed", "K.T"]),
+    "homogeneous by 2": (rgbd, {"intrinsics": np.diag([30.0, 30, 2])}, ["0 0 1"]),
+    "projection": (rgbd, {"intrinsics": np.hstack([K, np.zeros((3, 1))])}, ["(3, 4)"]),
+    "skew": (rgbd, {"intrinsics": K + np.array([[0, 3, 0], [0, 0, 0], [0, 0, 0]])}, ["skew"]),
+    "other resolution": (rgbd, {"intrinsics": (15.5, 11.5, 300, 300)}, ["principal point", "resolution"]),
+    "fractions": (rgbd, {"intrinsics": (0.9, 1.2, 0.5, 0.5)}, ["pixels", "fractions"]),
+    "no focal length": (rgbd, {"intrinsics": (np.nan, 30, 15.5, 11.5)}, ["finite"]),
+    "camera of another size": (
+        rgbd, {"intrinsics": annotator.Camera(64, 48, 60.0, 60.0, 31.5, 23.5)}, ["64 x 48", "32 x 24"]
+    ),
+    "two coefficients": (rgbd, {"distortion": (0.1, 0.2)}, ["coefficients"]),
+    "mirror": (cloud, {"T": np.diag([1.0, -1, 1, 1]) @ T_CAMERA_LIDAR}, [OF_T, "mirror", "-1"]),
+    "scale": (cloud, {"T": np.diag([2.0, 2, 2, 1]) @ T_CAMERA_LIDAR}, [OF_T, "scale"]),
+    "three rows": (cloud, {"T": T_CAMERA_LIDAR[:3]}, [OF_T, "(4, 4)"]),
+    "transposed transform": (
+        cloud, {"T": np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [1, 2, 3, 1]])}, [OF_T, "transposed"]
+    ),
+    "no transform": (cloud, {"T": np.full((4, 4), np.nan)}, [OF_T, "finite"]),
+    "two transforms": (cloud, {"T": RigidTransform.from_rotation(Rotation.identity(2))}, [OF_T, "not a stack"]),
+    "transposed points": (cloud, {"points": lidar_points().T}, ["xyz.T"]),
+    "four columns": (
+        cloud, {"points": np.hstack([lidar_points(), np.ones((4000, 1))])}, ["(4000, 4)", "reflectance"]
+    ),
+    "organised points": (cloud, {"points": lidar_points().reshape(40, 100, 3)}, ["reshape"]),
+    "no finite point": (cloud, {"points": np.full((5, 3), np.nan)}, ["no finite point"]),
+    "points in millimetres": (cloud, {"points": lidar_points() * 1000}, ["millimetres"]),
+    "few reflectances": (cloud, {"reflectance": np.ones(7)}, ["(4000,)"]),
+    "reflectances to 255": (cloud, {"reflectance": np.full(4000, 255.0)}, ["0..1"]),
+}  # fmt: skip
 
 
-def test_wrong_reflectances_lenses_and_directions_are_errors() -> None:
-    refused(lambda: cloud(reflectance=np.ones(7)), "(4000,)")
-    refused(lambda: cloud(reflectance=np.full(4000, 255.0)), "0..1")
-    refused(lambda: rgbd(distortion=(0.1, 0.2)), "coefficients")
+@pytest.mark.parametrize("name", WRONG)
+def test_ambiguous_and_unusable_inputs_are_errors(name: str) -> None:
+    make, given, words = WRONG[name]
+    refused(lambda: make(**given), *words)
+
+
+def test_an_up_without_length_is_an_error() -> None:
     with pytest.raises(ValueError):
         rgbd(up=(0, 0, 0))

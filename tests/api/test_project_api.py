@@ -51,10 +51,11 @@ def test_detection_takes_the_projects_detectors_and_settings(
     frames = [people.read(frame) for frame in stored]
     found = people.detect(frames)
     assert [path.parent.name for path in trained] == ["image", "view"]
-    for frame, each in zip(frames, found, strict=True):
-        assert each.key == frame.key and len(each.proposals) == 3
-    # as in a batch run: orientation from gravity, the kind of boxes from the detectors
     pair = knowing("people", BoxKind.SILHOUETTE)
+    seen = list(map(len, pair.image.detect(frames)))
+    for frame, each, count in zip(frames, found, seen, strict=True):
+        assert each.key == frame.key and len(each.proposals) == count > 0
+    # as in a batch run: orientation from gravity, the kind of boxes from the detectors
     people.annotate(image_detector=pair.image, view_detector=pair.view, limit=2)
     for frame, each in zip(stored, found, strict=True):
         labels = people.labels(frame)
@@ -62,7 +63,7 @@ def test_detection_takes_the_projects_detectors_and_settings(
         assert stored_boxes == sorted(proposal.box.center_m.tolist() for proposal in each.proposals)
         assert {label.state for label in labels} == {annotator.ReviewState.PROPOSED}
     # loaded once
-    assert len(people.detect(frames[0]).proposals) == 3 and len(trained) == 2
+    assert len(people.detect(frames[0]).proposals) == seen[0] and len(trained) == 2
 
 
 def test_given_2d_boxes_need_no_image_detector(

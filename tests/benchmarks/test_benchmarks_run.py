@@ -64,13 +64,9 @@ def test_axes_compares_all_strategies(
     two_frames: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     result = in_process(axes, monkeypatch, capsys, two_frames)
-    assert list(result) == ["results", "default_axes"]
     assert result["default_axes"] == "consensus"
     assert [row["axes"] for row in result["results"]] == STRATEGIES
     for row in result["results"]:
-        assert list(row) == [
-            "label", "axes", "objects", "mean_iou", "share_50", "share_70", "false_positives", "steps", "ms_per_object"
-        ]  # fmt: skip
         assert (row["label"], row["objects"]) == ("person", 6)
         assert row["false_positives"] == 0, "a perfect detector has no false positives"
     by_axes = {row["axes"]: row["mean_iou"] for row in result["results"]}
@@ -131,7 +127,6 @@ def test_the_real_azure_kinect_recording_is_within_the_stated_differences(
     folder = shared / "data" / "azure_kinect"
     words = [folder / "recording.mkv", folder / "sdk_golden_even.csv"]
     result = in_process(azure_kinect, monkeypatch, capsys, *words)
-    assert list(result) == ["rows", "max_point_mm", "max_px"]
     assert result["rows"] == 2203
     assert 0 < result["max_point_mm"] < 0.1
     assert 0 < result["max_px"] < 0.05
@@ -186,9 +181,6 @@ def test_cold_start_scores_each_class_beside_clusters(
 ) -> None:
     result = agnostic(cold_start, generated / "people", "--image-box", origin, "--every", 2, "--base", "unused")
     person, clusters = sorted(result["results"], key=lambda row: row["label"])
-    assert list(person) == [
-        "label", "taught", "objects", "mean_iou", "recall_25", "recall_50", "recall_70", "seconds_training"
-    ]  # fmt: skip
     assert (person["label"], clusters["label"]) == ("person", "person (clusters)")
     assert (person["taught"], person["objects"]) == (0, clusters["objects"])
     assert person["mean_iou"] > 0.8
@@ -198,10 +190,8 @@ def test_cold_start_scores_each_class_beside_clusters(
 
 def test_follow_scores_each_track(agnostic: Callable[..., Any], generated: Path) -> None:
     result = agnostic(follow, generated / "people")
-    assert list(result) == ["tracks", "mean_iou", "silent_errors", "marked"]
     assert len(result["tracks"]) == 3
     for row in result["tracks"]:
-        assert list(row) == ["label", "frames", "mean_iou", "share_50", "stopped_at", "stopped_because"]
         assert (row["label"], row["frames"]) == ("person", 4)
     assert result["mean_iou"] == pytest.approx(np.mean([row["mean_iou"] for row in result["tracks"]]))
     assert result["mean_iou"] > 0.6

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from annotator.cli.main import main
 from annotator.project import NewLabel, WriteContext, create_project, open_project
 from annotator.recordings import open_recording
 from annotator.types import OrientedBox
 from annotator.workflows.add_recordings import register_recording
+
+Run = Callable[..., str]
 
 
 @pytest.fixture
@@ -27,14 +29,7 @@ def cars(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "cars"
 
 
-def listed(capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
-    capsys.readouterr()
-    assert main(["classes", "list", "cars", "--json"]) == 0
-    content: dict[str, object] = json.loads(capsys.readouterr().out)
-    return content
-
-
-def test_classes_and_attributes_are_changed_and_listed(cars: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_classes_and_attributes_are_changed_and_listed(cars: Path, run: Run) -> None:
     for words in (
         "add cars bus --colour 3366ff --key b",
         "attribute cars pose --kind choice --choices parked,driving --default parked --key p",
@@ -50,8 +45,8 @@ def test_classes_and_attributes_are_changed_and_listed(cars: Path, capsys: pytes
         "style cars auto --unset colour",
         "order cars bus,auto",
     ):
-        assert main(["classes", *words.split()]) == 0, words
-    content = listed(capsys)
+        run(f"classes {words}")
+    content = json.loads(run("classes list cars --json"))
     assert content["classes"] == [
         {"name": "bus", "labels": 0, "boxes_2d": 0, "said": 0, "colour": "#3366ff", "key": "b"},
         {"name": "auto", "labels": 1, "boxes_2d": 0, "said": 0, "colour": None, "key": "a"},
@@ -70,23 +65,18 @@ def test_classes_and_attributes_are_changed_and_listed(cars: Path, capsys: pytes
     with open_project(cars) as project:
         (label,) = project.labels.of_frame(1)
         assert (label.label, label.attributes) == ("auto", {"pose": "still"})
-    assert main(["classes", "cars"]) == 0
-    shown = capsys.readouterr().out
+    shown = run("classes cars")
     assert "auto  1 label, 0 2D boxes, key a" in shown
     assert "attribute pose: one of still, driving; of auto; required; default still; key p" in shown
-    assert main(["classes", "remove-attribute", "cars", "pose"]) == 0
-    assert "removed pose and 1 value of it" in capsys.readouterr().out
-    assert main(["classes", "cars", "remove", "auto", "--with-boxes"]) == 0
-    assert "removed with the class: 1 label and 0 2D boxes of auto" in capsys.readouterr().out
+    assert "removed pose and 1 value of it" in run("classes remove-attribute cars pose")
+    assert "removed with the class: 1 label and 0 2D boxes of auto" in run("classes cars remove auto --with-boxes")
     for words, done in (
         ("", "undone: remove the class auto, by annotator classes"),
         ("", "undone: remove the attribute pose, by annotator classes"),
         ("--redo", "redone: remove the attribute pose, by annotator classes"),
     ):
-        assert main(["project", "undo", "cars", *words.split()]) == 0
-        assert capsys.readouterr().out == f"{done}\n"
-    assert main(["project", "undo", "cars", "--author", "nobody"]) == 2
-    assert "nobody has nothing to undo" in capsys.readouterr().err
+        assert run(f"project undo cars {words}") == f"{done}\n"
+    assert "nobody has nothing to undo" in run("project undo cars --author nobody", code=2)
 
 
 REFUSED = [
@@ -101,12 +91,11 @@ REFUSED = [
 ]
 
 
-def test_what_cannot_be_done_is_refused_with_the_way_out(cars: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before = listed(capsys)
+def test_what_cannot_be_done_is_refused_with_the_way_out(cars: Path, run: Run) -> None:
+    before = run("classes list cars --json")
     for words, problem in REFUSED:
-        assert main(["classes", *words.split()]) == 2
-        assert problem in capsys.readouterr().err
-    assert listed(capsys) == before
+        assert problem in run(f"classes {words}", code=2)
+    assert run("classes list cars --json") == before
 
 
 BOX = {"label": "person", "size": [0.5, 0.4, 1.8], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
@@ -130,12 +119,9 @@ def folder(tmp_path: Path, generated: Path) -> Path:
     return tmp_path
 
 
-def test_attributes_of_a_file_are_added_with_the_kind_of_their_values(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["import", "rooms", str(folder / "theirs.json"), "--as", "proposals", "--projects", str(folder)]
-    assert main([*words, "--source", "mine", "--min-score", "0.5", "--add-attributes"]) == 0
-    out = capsys.readouterr().out
+def test_attributes_of_a_file_are_added_with_the_kind_of_their_values(folder: Path, run: Run) -> None:
+    words = f"import rooms {folder / 'theirs.json'} --as proposals --projects {folder}"
+    out = run(f"{words} --source mine --min-score 0.5 --add-attributes")
     for line in (
         "proposed by mine: 4 person in 1 frame",
         "skipped: 1 box with a lower score",
@@ -159,23 +145,21 @@ def test_attributes_of_a_file_are_added_with_the_kind_of_their_values(
     assert labels[2].attributes["mixed"] == "true"
 
 
-def test_attributes_of_images_and_their_boxes_are_added_too(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--projects", str(folder)]
-    assert main(["import", "rooms", str(folder / "theirs.json"), "--add-attributes", *words]) == 0
-    assert main(["classes", "attribute", "rooms", "night", "--kind", "boolean", "--of", "frame", *words]) == 0
+def test_attributes_of_images_and_their_boxes_are_added_too(folder: Path, run: Run) -> None:
+    words = f"--projects {folder}"
+    run(f"import rooms {folder / 'theirs.json'} --add-attributes {words}")
+    run(f"classes attribute rooms night --kind boolean --of frame {words}")
     with open_project(folder / "rooms") as project:
         frame = project.frames.of()[0]
         project.frames.set_attributes(frame.id, {"night": True}, WriteContext(frame.revision, "me"))
-    assert main(["export", "rooms", str(folder / "out"), "--format", "coco", *words]) == 0
+    run(f"export rooms {folder / 'out'} --format coco {words}")
     with open_project(folder / "rooms") as project:
         frames = project.frames.of()
         with project.store.write() as connection:
             connection.exec_driver_sql("UPDATE labels SET attributes = '{}'")
             connection.exec_driver_sql("UPDATE frames SET attributes = NULL")
             connection.exec_driver_sql("DELETE FROM attributes")
-    capsys.readouterr()
-    assert main(["import", "rooms", str(folder / "out"), "--add-attributes", *words]) == 0
-    out = capsys.readouterr().out
+    out = run(f"import rooms {folder / 'out'} --add-attributes {words}")
     assert "added: attribute night of a frame: true or false" in out
     assert "attributes: 22 values for the 3D labels and frames that these images show" in out
     with open_project(folder / "rooms") as project:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,8 @@ from annotator.project import WriteContext, open_project
 from annotator.project.backup.make import Reason, back_up_automatically
 from annotator.types import BoxKind
 
-Capture = pytest.CaptureFixture[str]
+Run = Callable[..., str]
+Labels = Callable[[str], int]
 LABELS = 15
 
 
@@ -32,34 +34,26 @@ def people(own_copy: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.
     return recording
 
 
-def run(capsys: Capture, command: str, code: int = 0) -> str:
-    capsys.readouterr()
-    assert main(command.split()) == code
-    said = capsys.readouterr()
-    return said.err if code else said.out
+@pytest.fixture
+def labels(stats: Callable[[str], dict[str, Any]]) -> Labels:
+    """`labels("room")`: how many a project has."""
+    return lambda project: stats(project)["labels"]["total"]  # type: ignore[no-any-return]
 
 
-def labels(capsys: Capture, project: str = "room") -> int:
-    counts: dict[str, dict[str, int]] = json.loads(run(capsys, f"stats {project} --json"))
-    return counts["labels"]["total"]
-
-
-def test_a_removed_recording_comes_back_with_its_labels(people: Path, capsys: Capture) -> None:
+def test_a_removed_recording_comes_back_with_its_labels(people: Path, run: Run, labels: Labels) -> None:
     assert "with 15 labels? Adding it again brings back its labels. Nothing was changed: add --yes" in run(
-        capsys, "project remove room people", code=2
+        "project remove room people", code=2
     )
-    assert labels(capsys) == LABELS
-    assert f"bring it back with: annotator add room {people}" in run(capsys, "project remove room people --yes")
-    assert labels(capsys) == 0
-    assert "'people' was removed from the project; `annotator add` brings it back" in run(
-        capsys, "up room people", code=2
-    )
-    assert run(capsys, "add room people").startswith("people is back in the project, with its labels: 5 frames\nnext:")
-    assert labels(capsys) == LABELS
-    assert run(capsys, "check room").endswith("; 15 labels checked\n"), "which begins with a verification"
+    assert labels("room") == LABELS
+    assert f"bring it back with: annotator add room {people}" in run("project remove room people --yes")
+    assert labels("room") == 0
+    assert "'people' was removed from the project; `annotator add` brings it back" in run("up room people", code=2)
+    assert run("add room people").startswith("people is back in the project, with its labels: 5 frames\nnext:")
+    assert labels("room") == LABELS
+    assert run("check room").endswith("; 15 labels checked\n"), "which begins with a verification"
 
 
-def test_the_question_is_asked_at_a_terminal(people: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_the_question_is_asked_at_a_terminal(people: Path, monkeypatch: pytest.MonkeyPatch, labels: Labels) -> None:
     for answer, code in (("\n", 2), ("no\n", 2), ("y\n", 0)):
         stdin = SimpleNamespace(isatty=lambda: True, readline=lambda answer=answer: answer)
         monkeypatch.setattr(
@@ -68,89 +62,85 @@ def test_the_question_is_asked_at_a_terminal(people: Path, monkeypatch: pytest.M
         assert main(["project", "remove", "room", "people"]) == code
         monkeypatch.undo()
         monkeypatch.chdir(people.parent)
-    assert labels(capsys) == 0
+    assert labels("room") == 0
 
 
-def test_a_recording_that_has_only_moved_is_not_added_a_second_time(people: Path, capsys: Capture) -> None:
+def test_a_recording_that_has_only_moved_is_not_added_a_second_time(people: Path, run: Run, labels: Labels) -> None:
     people.rename("archive")
-    refused = run(capsys, "add room archive", code=2)
+    refused = run("add room archive", code=2)
     assert f"archive: is the recording people, which was at {people}; to keep its labels" in refused
-    assert labels(capsys) == LABELS
+    assert labels("room") == LABELS
     command = refused.split("`")[1].removeprefix("annotator ")
     assert command == "project move room people archive"
-    run(capsys, command)
-    assert "already in the project: 0 new frames" in run(capsys, "add room archive")
-    assert labels(capsys) == LABELS
+    run(command)
+    assert "already in the project: 0 new frames" in run("add room archive")
+    assert labels("room") == LABELS
 
 
-def test_another_recording_with_the_same_names_of_frames_is_added(
-    people: Path, generated: Path, capsys: Capture
-) -> None:
+def test_another_recording_with_the_same_names_of_frames_is_added(people: Path, generated: Path, run: Run) -> None:
     """Cameras number the frames of all their recordings alike."""
     people.rename("archive")
-    assert "added hands: 5 frames" in run(capsys, f"add room {generated / 'hands'}")
+    assert "added hands: 5 frames" in run(f"add room {generated / 'hands'}")
     # without a fingerprint, as in projects of older versions, the names are all that is known
     with open_project(Path("projects/room")) as project, project.store.write() as connection:
         connection.exec_driver_sql("UPDATE recordings SET fingerprint = NULL")
     shutil.copytree(generated / "hands", "third")
-    assert "third: has the frames of the recording people, which was at" in run(capsys, "add room third", code=2)
-    assert "added third: 5 frames" in run(capsys, "add room third --as-new")
+    assert "third: has the frames of the recording people, which was at" in run("add room third", code=2)
+    assert "added third: 5 frames" in run("add room third --as-new")
 
 
-def test_a_project_is_renamed_with_its_backups(people: Path, capsys: Capture) -> None:
+def test_a_project_is_renamed_with_its_backups(people: Path, run: Run, labels: Labels) -> None:
     backups = Path("projects/.backups/room")
     backups.mkdir(parents=True)
-    run(capsys, "new other --classes person")
-    assert "exists already; choose another name" in run(capsys, "project rename room other", code=2)
-    assert "is not a valid project name" in run(capsys, "project rename room Rooms", code=2)
-    assert run(capsys, "project rename room rooms") == "renamed room to rooms\n"
-    assert labels(capsys, "rooms") == LABELS
+    run("new other --classes person")
+    assert "exists already; choose another name" in run("project rename room other", code=2)
+    assert "is not a valid project name" in run("project rename room Rooms", code=2)
+    assert run("project rename room rooms") == "renamed room to rooms\n"
+    assert labels("rooms") == LABELS
     with open_project(Path("projects/rooms")) as project:
         assert project.config.name == "rooms"
     assert sorted(path.name for path in Path("projects").iterdir()) == [".backups", "other", "rooms"]
     assert [path.name for path in backups.parent.iterdir()] == ["rooms"]
 
 
-def test_a_removed_project_can_be_brought_back(people: Path, capsys: Capture) -> None:
+def test_a_removed_project_can_be_brought_back(people: Path, run: Run, labels: Labels) -> None:
     assert (
         "Remove the project room (recordings: 1, labels: 15)? It is moved to projects/.removed. "
         "Nothing was changed: add --yes"
-    ) in run(capsys, "project remove room", code=2)
+    ) in run("project remove room", code=2)
     with open_project(Path("projects/room")):
-        assert "another process has this project open" in run(capsys, "project remove room --yes", code=2)
-        assert "if it is a server, use its start page" in run(capsys, "project rename room hall", code=2)
-    said = run(capsys, "project remove room --yes")
-    assert "has no project 'room'" in run(capsys, "stats room", code=2)
-    run(capsys, said.splitlines()[-1].partition(": annotator ")[2])
-    assert labels(capsys) == LABELS
+        assert "another process has this project open" in run("project remove room --yes", code=2)
+        assert "if it is a server, use its start page" in run("project rename room hall", code=2)
+    said = run("project remove room --yes")
+    assert "has no project 'room'" in run("stats room", code=2)
+    run(said.splitlines()[-1].partition(": annotator ")[2])
+    assert labels("room") == LABELS
     # a damaged one can be removed, too
     Path("projects/room/project.db").write_bytes(b"damaged")
-    run(capsys, "project remove room --yes")
+    run("project remove room --yes")
     assert len(list(Path("projects/.removed").iterdir())) == 2
 
 
-def test_a_project_is_copied_with_or_without_its_labels(people: Path, capsys: Capture) -> None:
-    run(capsys, "calibrate room people --shift 0.1 0 0")
-    run(capsys, "up room people 0 -1 -1")
-    said = run(capsys, "project copy room second")
+def test_a_project_is_copied_with_or_without_its_labels(people: Path, run: Run, labels: Labels) -> None:
+    run("calibrate room people --shift 0.1 0 0")
+    run("up room people 0 -1 -1")
+    said = run("project copy room second")
     assert said.splitlines()[0] == "copied projects/room to projects/second"
-    assert labels(capsys, "second") == LABELS
+    assert labels("second") == LABELS
     assert "copied projects/room to projects/empty without its labels" in run(
-        capsys, "project copy room empty --without-labels"
+        "project copy room empty --without-labels"
     )
-    assert labels(capsys, "empty") == 0
+    assert labels("empty") == 0
     with open_project(Path("projects/room")) as old, open_project(Path("projects/empty")) as new:
         (before,), (after,) = old.recordings.all(), new.recordings.all()
         assert (after.path, after.frames, after.correction) == (before.path, 5, before.correction)
         assert after.up == pytest.approx(before.up)
         assert (after.correction.shift_m[0], new.boxes.on_images()) == (pytest.approx(0.1), ())
         assert new.config.classes == ("person",)
-    assert run(capsys, "check empty") == "0 warnings; 0 labels checked\n"
+    assert run("check empty") == "0 warnings; 0 labels checked\n"
     shutil.copytree("projects/room", "room")
-    assert "room is both a path and a project; write ./room or projects/room" in run(
-        capsys, "project copy room third", code=2
-    )
-    run(capsys, "project copy ./room third")
+    assert "room is both a path and a project; write ./room or projects/room" in run("project copy room third", code=2)
+    run("project copy ./room third")
 
 
 @pytest.fixture
@@ -166,45 +156,38 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_back_up_verify_and_restore(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["project", "backup", "hands"]) == 0
+def test_back_up_verify_and_restore(root: Path, run: Run) -> None:
+    said = run("project backup hands")
     (file,) = root.parent.glob("hands-*.zip")
-    assert f"annotator project restore {file.name} NAME" in capsys.readouterr().out
-    assert main(["project", "backup", "hands", "bare.zip", "--models", "none"]) == 0
-    assert main(["project", "restore", file.name]) == 2
-    assert "exists already; choose another name" in capsys.readouterr().err
-    assert main(["project", "restore", "bare.zip", "again"]) == 0
-    assert "0 labels, 2 events, as of " in capsys.readouterr().out
-    assert main(["project", "verify", "again", "--deep"]) == 0
-    assert capsys.readouterr().out == "again: sound\n"
-    assert main(["project", "copy", str(root / "again"), "taken"]) == 0
-    assert f"reads the recording take from {root.parent / 'take'} (not on" in capsys.readouterr().out
+    assert f"annotator project restore {file.name} NAME" in said
+    run("project backup hands bare.zip --models none")
+    assert "exists already; choose another name" in run("project", "restore", file.name, code=2)
+    assert "0 labels, 2 events, as of " in run("project restore bare.zip again")
+    assert run("project verify again --deep") == "again: sound\n"
+    copied = run("project", "copy", root / "again", "taken")
+    assert f"reads the recording take from {root.parent / 'take'} (not on" in copied
     assert sorted(path.name for path in root.iterdir()) == ["again", "hands", "taken"]
 
 
-def test_a_damaged_project_is_found_by_verify_and_by_check(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_damaged_project_is_found_by_verify_and_by_check(root: Path, run: Run) -> None:
     says = "frames has other values than the events give"
     with closing(sqlite3.connect(root / "hands" / "project.db", isolation_level=None)) as connection:
         connection.execute("UPDATE frames SET finalised = 1")
-    for words in (["project", "verify", "hands", "--deep"], ["check", "hands"]):
-        assert main(words) == 1
-        said = capsys.readouterr().out
+    for words in ("project verify hands --deep", "check hands"):
+        said = run(words, code=1)
         assert says in said and "annotator project restore" in said
-        assert main([*words, "--json"]) == 1
-        assert says in " ".join(json.loads(capsys.readouterr().out)["problems"])
+        assert says in " ".join(json.loads(run(f"{words} --json", code=1))["problems"])
 
 
-def test_missing_files_and_the_newest_backup_are_named(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_files_and_the_newest_backup_are_named(root: Path, run: Run) -> None:
     with open_project(root / "hands") as project:
         view = project.views.store(np.zeros((4, 4, 3), np.uint8))
         project.boxes.set_on_view(view, [], BoxKind.BOX, WriteContext(1, "Ada"), frame_id=1)
-    assert main(["project", "repair", "hands"]) == 0
-    assert "lacks" not in capsys.readouterr().out
+    assert "lacks" not in run("project repair hands")
     (root / "hands" / "views" / f"{view}.png").unlink()
     lacks = f"the project lacks 1 file of its pseudo-views or detectors: views/{view}.png"
     for words in ("backup hands one.zip", "repair hands again"):
-        assert main(["project", *words.split()]) == 0
-        assert lacks in capsys.readouterr().out
+        assert lacks in run(f"project {words}")
     newest = back_up_automatically(root / "hands", Reason.CHANGES).path
-    assert main(["project", "verify", "hands", "--deep"]) == 1
-    assert f"a backup such as {newest}, the newest automatic one" in capsys.readouterr().out
+    said = run("project verify hands --deep", code=1)
+    assert f"a backup such as {newest}, the newest automatic one" in said

@@ -20,17 +20,18 @@ import cv2
 import laspy
 import numpy as np
 import phone_samples
-import targets as small
+import small_recordings as small
 from bag_writer import BagWriter, structured
-from dataset_samples import make_item, make_label
+from dataset_samples import make_item, make_label, write
 from ros_takes import MS, SIZE, START_NS, K
 from scipy.spatial.transform import Rotation
 
+from annotator.formats.box_files import write_boxes
 from annotator.formats.table import BoxFormat, FlatFormat
 from annotator.geometry.oriented_box import box_corners
 from annotator.recordings import open_recording
 from annotator.recordings.clouds.cloud_file import read_cloud
-from annotator.types import Frame, OrientedBox, Truth
+from annotator.types import Frame, Label, OrientedBox, Truth
 from annotator.types.errors import FormatError
 from annotator.workflows.importing.pictures import read_pictures
 from annotator.workflows.importing.readers import read_labels
@@ -58,7 +59,6 @@ class Numbers:
         odd_m: rows that are no points.
         colours, shares: how colours and reflectances are written.
         hole: what is written where there is no depth.
-        grey_bits: the image is a grey one whose values have so many bits; 0 = as it is.
     """
 
     xyz_m: np.ndarray
@@ -75,7 +75,6 @@ class Numbers:
     colours: str = "bytes"
     shares: str = "floats"
     hole: float = 0.0
-    grey_bits: int = 0
 
     @classmethod
     def drawn(cls, draw: random.Random) -> Numbers:
@@ -125,9 +124,6 @@ class Numbers:
 
     def picture(self) -> np.ndarray:
         """The image."""
-        if self.grey_bits:
-            grey = self.image[..., 0].astype(np.uint32) * (2**self.grey_bits - 1) // 255
-            return grey.astype(np.uint8 if self.grey_bits <= 8 else np.uint16)
         return self.image.astype(np.uint16) * 257 if self.colours == "words" else self.image
 
     def depths(self, kind: type, unit_m: float) -> np.ndarray:
@@ -285,7 +281,7 @@ def write_bag(encoding: str, folder: Path, n: Numbers) -> None:
     with BagWriter(folder, "ros1") as bag:
         for time_ns in (START_NS, START_NS + 100 * MS):
             bag.info("/cam/camera_info", time_ns, SIZE, K)
-            bag.image("/cam/image_raw", time_ns, n.picture(), {0: "rgb8", 8: "mono8"}.get(n.grey_bits, "mono16"))
+            bag.image("/cam/image_raw", time_ns, n.picture(), "rgb8")
             bag.image("/cam/depth/image_raw", time_ns, depth, encoding)
 
 
@@ -296,8 +292,12 @@ def write_csv(folder: Path, n: Numbers) -> None:
     put(folder / "out.csv", "\n".join(lines) + "\n")
 
 
+def truths(labels: Sequence[Label]) -> list[Truth]:
+    return [Truth(each.label, each.box, each.track_id) for each in labels]
+
+
 def write_json(folder: Path, n: Numbers) -> None:
-    small.write_boxes(folder / "out", {"0": small.truths(n.items()[0].labels)})
+    write_boxes(folder / "out", {"0": truths(n.items()[0].labels)})
 
 
 def write_coco(folder: Path, n: Numbers) -> None:
@@ -341,23 +341,28 @@ class Target:
     edits: tuple[str, ...] = ()
 
 
-def cloud(name: str, content: Callable[[Numbers], bytes], *ways: str) -> Target:
+def cloud(name: str, *ways: str) -> Target:
     suffix, lacks = f".{name.partition('_')[0]}", {"bin": "colours", "npy": "reflectances", "npz": "reflectances"}
     known = tuple(each for each in ("corners", "points", "colours", "reflectances") if each != lacks.get(name))
-    edits = ("degrees", *(["saturated"] if "la" in name else []))
-    return Target(f"cloud_{name}", partial(write_scan, suffix, content), partial(read_scan, suffix), known, ways, edits)
+    return Target(
+        f"cloud_{name}",
+        partial(write_scan, suffix, CLOUDS[name]),
+        partial(read_scan, suffix),
+        known,
+        ways,
+        ("degrees",),
+    )
 
 
 def dataset(name: str, *edits: str) -> Target:
     def build(folder: Path, n: Numbers) -> None:
-        (folder / "out").mkdir()
-        small.exported(name, n.items())(folder / "out")
+        write(name, folder / "out", n.items(), classes=CLASSES)
 
-    return Target(f"labels_{name}", build, partial(read_boxes, BoxFormat(name)), ("corners",), (), edits)
+    return Target(f"export_{name}", build, partial(read_boxes, BoxFormat(name)), ("corners",), (), edits)
 
 
 def sample(name: str, *edits: str) -> Target:
-    return Target(name, lambda folder, _: small.BUILT[name](folder), read_recording, edits=edits)
+    return Target(name, lambda folder, _: BUILT[name](folder), read_recording, edits=edits)
 
 
 def npy(n: Numbers) -> bytes:
@@ -368,37 +373,54 @@ def read_phone(folder: Path) -> Reading:
     return read_recording(folder / "take")
 
 
+def bags(folder: Path) -> Path:
+    """The bag in a folder: a file, or the folder itself."""
+    return next((file for file in folder.iterdir() if file.suffix in (".bag", ".mcap")), folder)
+
+
 def read_bag(folder: Path) -> Reading:
-    return read_recording(small.bags(folder))
+    return read_recording(bags(folder))
 
 
 FLOATS, COLOURS, MAP = ("nan", "inf"), ("words", "floats", "float_bytes"), ("map", "map_zero")
-OF_CAMERA, IMAGES = ("image", "depth"), ("grey_8", "grey_10", "grey_12", "grey_16", "hole_65535")
+OF_CAMERA = ("image", "depth")
 HOLES = ("hole_nan", "hole_inf", "hole_-inf", "hole_-1", "hole_65504")
-NAMES = small.CLASSES
+CLASSES = ("hand",)
+BUILT = {build.__name__: build for build in small.BUILDERS}
+CLOUDS: dict[str, Callable[[Numbers], bytes]] = {
+    "ply": partial(ply, "binary_little_endian"),
+    "ply_ascii": partial(ply, "ascii"),
+    **{f"pcd{form and '_'}{form}": partial(pcd, form or "binary") for form in ("", "ascii", "binary_compressed")},
+    "npy": npy,
+    "npz": lambda n: cloud_samples.npz(points=n.rows()[0], colors=n.rows()[1]),
+    "bin": lambda n: np.c_[n.rows()[::2]].astype("<f4").tobytes(),
+    "las": partial(las, False),
+    "laz": partial(las, True),
+}
 TARGETS: list[Target] = [
-    cloud("ply", partial(ply, "binary_little_endian"), *FLOATS, *COLOURS, *MAP, "share_bytes"),
-    cloud("ply_ascii", partial(ply, "ascii"), *FLOATS, *COLOURS, *MAP, "share_words"),
-    cloud("pcd", partial(pcd, "binary"), *FLOATS, "words", *MAP, "share_bytes"),
-    cloud("pcd_ascii", partial(pcd, "ascii"), *FLOATS, "words", "float_bytes", *MAP),
-    cloud("npy", npy, *FLOATS, "floats", *MAP),
-    cloud("npz", lambda n: cloud_samples.npz(points=n.rows()[0], colors=n.rows()[1]), *FLOATS, *COLOURS, *MAP),
-    cloud("bin", lambda n: np.c_[n.rows()[::2]].astype("<f4").tobytes(), *FLOATS, "share_bytes"),
-    cloud("las", partial(las, False), "words", *MAP),
-    cloud("laz", partial(las, True), "words", *MAP),
-    Target("rgbd", write_rgbd, read_recording, OF_CAMERA, ("words", *IMAGES), ("nfd",)),
-    Target("tum_rgbd", write_tum, read_recording, OF_CAMERA, ("words", *IMAGES), ("backslash",)),
+    cloud("ply", *FLOATS, *COLOURS, *MAP, "share_bytes"),
+    cloud("ply_ascii", *FLOATS, *COLOURS, *MAP, "share_words"),
+    cloud("pcd", *FLOATS, "words", *MAP, "share_bytes"),
+    cloud("pcd_ascii", *FLOATS, "words", "float_bytes", *MAP),
+    cloud("pcd_binary_compressed"),
+    cloud("npy", *FLOATS, "floats", *MAP),
+    cloud("npz", *FLOATS, *COLOURS, *MAP),
+    cloud("bin", *FLOATS, "share_bytes"),
+    cloud("las", "words", *MAP),
+    cloud("laz", "words", *MAP),
+    Target("rgbd", write_rgbd, read_recording, OF_CAMERA, ("words", "hole_65535"), ("nfd",)),
+    Target("tum_rgbd", write_tum, read_recording, OF_CAMERA, ("words", "hole_65535"), ("backslash",)),
     Target("record3d", partial(write_phone, phone_samples.write_record3d), read_phone, (), HOLES),
     Target("stray_scanner", partial(write_phone, phone_samples.write_stray_scanner), read_phone),
-    Target("bag_16UC1", partial(write_bag, "16UC1"), read_bag, OF_CAMERA, IMAGES),
+    Target("bag_16UC1", partial(write_bag, "16UC1"), read_bag, OF_CAMERA, ("hole_65535",)),
     Target("bag_32FC1", partial(write_bag, "32FC1"), read_bag, OF_CAMERA, HOLES),
     *map(sample, ("kitti_object", "kitti_raw", "sunrgbd_extracted", "argoverse2", "cloud_folder")),
     sample("nuscenes", "quaternion", "backslash"),
     *map(dataset, ("rcv", "sunrgbd", "labelcloud")),
     *(dataset(name, "degrees") for name in ("kitti", "kitti-tracking")),
     *(dataset(name, "quaternion") for name in ("openlabel", "nuscenes")),
-    Target("labels_boxes", write_json, partial(read_boxes, BoxFormat.BOXES), ("corners",)),
-    Target("labels_box_csv", write_csv, partial(read_boxes, BoxFormat.BOX_CSV), ("corners",), (), ("degrees",)),
+    Target("export_boxes", write_json, partial(read_boxes, BoxFormat.BOXES), ("corners",)),
+    Target("export_box_csv", write_csv, partial(read_boxes, BoxFormat.BOX_CSV), ("corners",), (), ("degrees",)),
     Target("coco", write_coco, partial(read_flat, FlatFormat.COCO), ("pixels",), (), ("nfd", "backslash")),
     Target("yolo", write_yolo, partial(read_flat, FlatFormat.YOLO), ("pixels",), (), ("nfd", "backslash")),
 ]  # fmt: skip

@@ -24,8 +24,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE), str(HERE.parent.parent)]
+TESTS = Path(__file__).resolve().parent.parent
+# of the samples
+ROOMS = ("damage", "formats", "recordings", "recordings/kinect", "recordings/clouds")
+sys.path[:0] = [place for place in (*(str(TESTS / room) for room in ROOMS), str(TESTS.parent)) if place not in sys.path]
 
 from damage import damaged  # noqa: E402
 

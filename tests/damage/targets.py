@@ -11,8 +11,8 @@ from __future__ import annotations
 import io
 import json
 import os
+import random
 import shutil
-import sys
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,53 +22,37 @@ from typing import Any
 
 import cv2
 import numpy as np
+import small_recordings as small
+from bag_writer import BagWriter
+from cloud_samples import SCAN
+from dataset_samples import make_item, make_label, write
+from foxglove_takes import picture_take, write_mcap
+from kinect_recording import write_recording
+from known_numbers import BUILT, CLASSES, CLOUDS, Numbers, bags
+from known_numbers import TARGETS as KNOWN
+from ros_takes import MS, SIZE, START_NS, write_camera, write_take
 from scipy.spatial.transform import RigidTransform
+from test_cloud_files import written
+from test_kitti_formats import PEDESTRIAN, VAN, document
 
-TESTS = Path(__file__).resolve().parent.parent
-ROOMS = (
-    "damage", "formats", "recordings", "recordings/ros", "recordings/kinect", "recordings/clouds"
-)  # fmt: skip
-for place in (*(str(TESTS / room) for room in ROOMS), str(TESTS.parent)):
-    if place not in sys.path:
-        sys.path.append(place)
-
-import small_recordings as small  # noqa: E402
-from bag_writer import BagWriter, structured  # noqa: E402
-from cloud_samples import npy, npz, pcd, ply  # noqa: E402
-from dataset_samples import make_item, make_label, write  # noqa: E402
-from foxglove_takes import picture_take, write_mcap  # noqa: E402
-from kinect_recording import write_recording  # noqa: E402
-from ros_takes import IMAGE, MS, SIZE, START_NS, write_camera, write_take  # noqa: E402
-from test_cloud_files import (  # noqa: E402
-    RGB,
-    XYZ,
-    written,
-)
-from test_kitti_formats import PEDESTRIAN, VAN, document  # noqa: E402
-
-from annotator.formats.box_files import write_boxes  # noqa: E402
-from annotator.formats.coco import CocoWriter  # noqa: E402
-from annotator.formats.frame_names import PictureLabels  # noqa: E402
-from annotator.formats.kitti_folders import read_kitti_file  # noqa: E402
-from annotator.formats.kitti_rows import read_rows, row_truth  # noqa: E402
-from annotator.formats.kitti_tracklets import read_tracklets  # noqa: E402
-from annotator.formats.nuscenes import read_results  # noqa: E402
-from annotator.formats.reading import (  # noqa: E402
+from annotator.formats.kitti_folders import read_kitti_file
+from annotator.formats.kitti_rows import read_rows, row_truth
+from annotator.formats.kitti_tracklets import read_tracklets
+from annotator.formats.nuscenes import read_results
+from annotator.formats.reading import (
     Angles,
     read_mask,
     text_files,
 )
-from annotator.formats.sunrgbd import read_extracted_labels, read_scene_labels  # noqa: E402
-from annotator.formats.table import FORMATS, BoxFormat, FlatFormat  # noqa: E402
-from annotator.formats.yolo import YoloWriter  # noqa: E402
-from annotator.recordings import ReaderOptions, open_recording  # noqa: E402
-from annotator.recordings.clouds.cloud_file import read_cloud  # noqa: E402
-from annotator.types import Box2D, Frame, Label, Truth  # noqa: E402
-from annotator.workflows.importing.pictures import read_pictures  # noqa: E402
-from annotator.workflows.importing.readers import read_labels  # noqa: E402
-from annotator.workflows.recorded.reading import has_truth, load_truth  # noqa: E402
+from annotator.formats.sunrgbd import read_extracted_labels, read_scene_labels
+from annotator.formats.table import FORMATS, BoxFormat
+from annotator.recordings import ReaderOptions, open_recording
+from annotator.recordings.clouds.cloud_file import read_cloud
+from annotator.types import Frame
+from annotator.workflows.importing.readers import read_labels
+from annotator.workflows.recorded.reading import has_truth, load_truth
 
-SHARED = Path(os.environ.get("ANNOTATOR_SHARED", TESTS.parent.parent / "shared"))
+SHARED = Path(os.environ.get("ANNOTATOR_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 
 
 @dataclass(frozen=True)
@@ -149,11 +133,6 @@ def depth_bag(form: str) -> Callable[[Path], object]:
     return build
 
 
-def bags(folder: Path) -> Path:
-    """The bag in a folder: a file, or the folder itself."""
-    return next((file for file in folder.iterdir() if file.suffix in (".bag", ".mcap")), folder)
-
-
 def kinect(fourcc: str) -> Target:
     still = [(time_us, (0.0, 0.0, -9.81)) for time_us in range(0, 100_000, 10_000)]
     return Target(
@@ -165,10 +144,6 @@ def kinect(fourcc: str) -> Target:
 
 def labelled(count: int = 2) -> list[Any]:
     return [make_item([make_label(track_id=1), make_label(uid="b")], key=f"{n:06d}", index=n) for n in range(count)]
-
-
-def truths(labels: list[Label]) -> list[Truth]:
-    return [Truth(each.label, each.box, each.track_id) for each in labels]
 
 
 def exported(name: str, items: list[Any] | None = None, **options: Any) -> Callable[[Path], object]:
@@ -183,23 +158,6 @@ def exported(name: str, items: list[Any] | None = None, **options: Any) -> Calla
 
 def read_export(name: str, folder: Path) -> None:
     read_labels(BoxFormat(name), folder)
-
-
-def pictures(writer: Callable[[Path], Any]) -> Callable[[Path], object]:
-    def build(folder: Path) -> None:
-        png = cv2.imencode(".png", IMAGE[:, :, ::-1])[1].tobytes()
-        filled = writer(folder)
-        for name in ("a.png", "b.png"):
-            filled.add(PictureLabels(name, (Box2D("hand", 1.0, 2.0, 9.0, 12.0),), SIZE), png)
-        filled.finish()
-
-    return build
-
-
-def read_flat(format: FlatFormat, path: Path) -> None:
-    for picture in read_pictures(format, path).pictures:
-        picture.file(path)
-        picture.boxes_on(*SIZE)
 
 
 def read_kitti(file: Path, tracking: bool = False) -> None:
@@ -225,9 +183,6 @@ CAR = "Car 0.25 2 -1.55 548.00 171.33 572.40 194.42 1.48 1.56 3.62 -2.72 0.82 48
 POLYGON = {"X": [0, 1, 1, 0], "Z": [1, 1, 3, 3], "Ymin": 0.5, "Ymax": 1.5}
 SCENE = json.dumps({"objects": [{"name": "bed", "polygon": [POLYGON]}]}, indent=1)
 SHIFT = RigidTransform.from_translation([0.1, 0.2, 0.3])
-CLASSES = ("hand",)
-PCD_ROWS = structured(dict(zip("xyz", XYZ.T, strict=True)) | {"rgb": np.ones(len(XYZ), np.float32)})
-ROWS = structured(dict(zip(("x", "y", "z", "red", "green", "blue"), (*XYZ.T, *RGB.T), strict=True)))
 RESULTS = {
     "meta": {"use_lidar": True},
     "results": {
@@ -241,11 +196,15 @@ RESULTS = {
         "empty": [],
     },
 }  # fmt: skip
-UPRIGHT_BOXES = (
-    "image,class,cx,cy,cz,l,w,h,yaw,score\n000001,hand,0.5,2.5,-0.2,0.2,0.1,0.05,0.3,0.9\n"
-    '000002,"a, b",1,3,0,1,0.5,1.7,-1.5,0.5\n'
-)
-BUILT = {build.__name__: build for build in small.BUILDERS}
+NUMBERS = Numbers.drawn(random.Random(0))
+
+
+def of_numbers(name: str) -> Target:
+    """The same that is written with known numbers, too."""
+    known = next(each for each in KNOWN if each.name == name)
+    return Target(name, lambda folder: known.write(folder, NUMBERS), lambda folder: known.read(folder) and None)
+
+
 TARGETS: list[Target] = [
     *(Target(name, build, read_frame) for name, build in BUILT.items() if name not in ("record3d", "sunrgbd_scene")),
     Target("sunrgbd_scene", lambda folder: small.sunrgbd_scene(folder / "scene"), lambda f: read_frame(f / "scene")),
@@ -255,14 +214,8 @@ TARGETS: list[Target] = [
     Target("nuscenes_around", BUILT["nuscenes"], read_around),
     Target("argoverse2_around", BUILT["argoverse2"], read_around),
     Target("kitti_around", BUILT["kitti_tracking"], read_around),
-    cloud("ply", lambda: ply(ROWS, "binary_little_endian", after="element face 1\nproperty int v\n") + bytes(4)),
-    cloud("ply_ascii", lambda: ply(ROWS, "ascii")),
-    *(cloud(f"pcd_{mode}", partial(pcd, PCD_ROWS, mode)) for mode in ("ascii", "binary", "binary_compressed")),
-    cloud("npy", lambda: npy(np.c_[XYZ, RGB])),
-    cloud("npz", lambda: npz(points=XYZ, colors=RGB)),
-    cloud("bin", lambda: np.c_[XYZ, np.ones(len(XYZ), np.float32)].astype("<f4").tobytes()),
-    cloud("las", lambda: written("1.2", 3, 0, False)),
-    cloud("laz", lambda: written("1.2", 3, 0, True)),
+    *(cloud(name, partial(content, NUMBERS)) for name, content in CLOUDS.items() if name != "bin"),
+    cloud("bin", SCAN.tobytes),
     cloud("laz_layered", lambda: written("1.4", 7, 2, True)),
     *(Target(f"ros1_{how or 'plain'}", bag("ros1", how), lambda f: read_frame(bags(f))) for how in ("", "bz2", "lz4")),
     *(Target(f"sqlite3_{how or 'plain'}", bag("sqlite3", how), read_frame) for how in ("", "message")),
@@ -276,11 +229,7 @@ TARGETS: list[Target] = [
     Target("labelcloud_vertices", exported("labelcloud", vertices=True), partial(read_export, "labelcloud")),
     Target("nuscenes_results", lambda folder: (folder / "results.json").write_text(json.dumps(RESULTS)),
            lambda folder: list(read_results(folder / "results.json")) and None),
-    Target("export_boxes",
-           lambda folder: write_boxes(folder / "b.json", {item.frame.key: truths(item.labels) for item in labelled()}),
-           lambda folder: read_labels(BoxFormat.BOXES, folder / "b.json") and None),
-    Target("coco", pictures(lambda folder: CocoWriter(folder, CLASSES)), partial(read_flat, FlatFormat.COCO)),
-    Target("yolo", pictures(lambda folder: YoloWriter(folder, CLASSES)), partial(read_flat, FlatFormat.YOLO)),
+    *map(of_numbers, ("export_boxes", "export_box_csv", "coco", "yolo")),
     label_file("kitti", "0.txt", f"{CAR}\n{CAR}\n", read_kitti),
     label_file("kitti_tracking", "l.txt", f"0 1 {CAR}\n1 1 {CAR}\n", partial(read_kitti, tracking=True)),
     label_file("kitti_results", "0.txt", f"{CAR} 0.5\n", lambda file: read_kitti_file(file, scored=True)),
@@ -295,8 +244,6 @@ TARGETS: list[Target] = [
            lambda folder: read_tracklets(folder / "tracklet_labels.xml") and None),
     Target("export_argoverse2", BUILT["argoverse2"],
            lambda folder: read_labels(BoxFormat.ARGOVERSE2, folder) and None),
-    Target("export_box_csv", lambda folder: (folder / "b.csv").write_text(UPRIGHT_BOXES),
-           lambda folder: read_labels(BoxFormat.BOX_CSV, folder / "b.csv") and None),
 ]  # fmt: skip
 if (SHARED / "data" / "realsense").is_dir():
     REAL = next((SHARED / "data" / "realsense").glob("*.bag"))

@@ -2,10 +2,7 @@
 
 The rule: the numbers that come out equal those that went in, within the format's precision, or the files are refused
 (AnnotatorError); nothing else. First the plain files must give the known numbers, then the mutated ones what the plain
-ones give. Two kinds of mutations differ:
-
-grey_*      the image is shown by any range of its own: its grey levels lie on a line, and use much of 0..255.
-saturated   the numbers are lost: only a refusal is right.
+ones give. Pictures of many bits are tried by `test_image_file.py`, saturated coordinates by `test_cloud_files.py`.
 
 A mutation that nobody could see in the files is no fault of a reader, and is counted apart as ambiguous:
 
@@ -35,8 +32,7 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent.parent)]
 
-import targets  # noqa: E402, F401, I001  first: it names the folders of the samples
-import laspy  # noqa: E402
+import search  # noqa: E402, F401, I001  first: it names the folders of the samples
 import numpy as np  # noqa: E402
 from known_numbers import TARGETS, Numbers, Reading, Target  # noqa: E402
 from scipy.spatial.transform import Rotation  # noqa: E402
@@ -77,7 +73,6 @@ WAYS: dict[str, Callable[[Numbers, random.Random], Numbers]] = {
     **{kind: as_(colours=kind) for kind in ("words", "floats", "float_bytes")},
     **{f"share_{kind}": as_(shares=kind) for kind in ("bytes", "words")},
     **{f"hole_{value}": as_(hole=float(value)) for value in ("nan", "inf", "-inf", "-1", "65504", "65535")},
-    **{f"grey_{bits}": as_(grey_bits=bits) for bits in (8, 10, 12, 16)},
 }
 
 
@@ -189,21 +184,11 @@ def nfd(folder: Path, draw: random.Random) -> str:
     return ""
 
 
-def saturated(folder: Path, draw: random.Random) -> str:
-    """All values of an axis at the limit of the format's integers."""
-    (file,) = folder.rglob("0.la?")
-    cloud = laspy.read(file)
-    setattr(cloud, draw.choice("XYZ"), np.full(len(cloud.X), draw.choice((-(2**31), 2**31 - 1)), np.int32))
-    cloud.write(file)
-    return ""
-
-
 EDITS: dict[str, Callable[[Path, random.Random], str]] = {
     "degrees": degrees,
     "quaternion": quaternion,
     "backslash": backslash,
     "nfd": nfd,
-    "saturated": saturated,
 }
 
 
@@ -225,21 +210,10 @@ def difference(want: Reading, have: Reading, tolerance: float) -> str:
     return ""
 
 
-def on_a_line(levels: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Grey levels on the line that fits other ones; unchanged if these use little of 0..255, or most are cut off."""
-    inner = (other > 0) & (other < 255)
-    if levels.shape != other.shape or np.ptp(other) < 100 or inner.mean() < 0.7:
-        return levels
-    slope, start = np.polyfit(levels[inner].astype(np.float64), other[inner].astype(np.float64), 1)
-    return np.clip(slope * levels + start, 0, 255) if slope > 0 else levels
-
-
 def case(target: Target, mutation: str, seed: str, keep: Path | None = None) -> tuple[str, str]:
     """Tries a mutation: returns one of `KINDS`, and the difference or the refusal; `keep`s what is read wrong."""
     draw = random.Random(seed)
     numbers = Numbers.drawn(draw)
-    if mutation.startswith("grey"):
-        numbers = replace(numbers, image=np.repeat(numbers.image[..., :1], 3, axis=2))
     with tempfile.TemporaryDirectory() as place:
         # TUM's folders are known by their names
         plain, other = Path(place) / "plain_freiburg", Path(place) / "other_freiburg"
@@ -263,11 +237,9 @@ def case(target: Target, mutation: str, seed: str, keep: Path | None = None) -> 
         except Exception as error:
             found = f"raises {type(error).__name__}: {error}"
         else:
-            if mutation.startswith("grey"):
-                want |= {name: on_a_line(want[name], have[name]) for name in LEVELS}
             if mutation == "map_zero":  # of the raw file, which has the zeros
                 want.pop("reflectances", None)
-            found = "read" if mutation == "saturated" else difference(want, have, SAME)
+            found = difference(want, have, SAME)
         if found and keep:
             shutil.copytree(other, keep / f"{target.name} {mutation} {seed.split()[-1]}", dirs_exist_ok=True)
     return ("silent", found) if found else ("equal", "")

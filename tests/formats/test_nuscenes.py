@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dataset_samples import assert_same_box, make_item, make_label, write
+from dataset_samples import make_item, make_label, write
+from nuscenes_samples import START_US, ego_pose, mount, small
 from scipy.spatial.transform import Rotation
 
 from annotator.formats.nuscenes import read_nuscenes
@@ -105,76 +106,29 @@ def test_splits_are_lists_of_scenes(tmp_path: Path) -> None:
         read_nuscenes(tmp_path)
 
 
-# Rotates a camera's axes to those of a vehicle with the same viewing direction.
-AHEAD = [0.5, -0.5, 0.5, -0.5]
-LOOKS_BACK = (Rotation.from_rotvec([0, 0, np.pi]) * Rotation.from_quat(AHEAD, scalar_first=True)).as_quat(
-    scalar_first=True
-)
-
-
-def foreign(folder: Path, **changes: Any) -> Path:
-    """A vehicle at (100, 0, 0), heading left, with a front and a rear camera, and a box 10 m ahead of each."""
-    left = [np.sqrt(0.5), 0, 0, np.sqrt(0.5)]
-    K = [[500, 0, 400], [0, 500, 225], [0, 0, 1]]
-
-    def annotation(token: str, instance: str, y: float) -> dict[str, Any]:
-        where = {"translation": [100, y, 1], "rotation": left, "size": [2, 4, 1.5]}
-        return {"token": token, "sample_token": "s", "instance_token": instance, **where}
-
-    content: dict[str, list[dict[str, Any]]] = {
-        "category": [{"token": "c", "name": "vehicle.car"}],
-        "instance": [
-            {"token": name, "category_token": "c", "nbr_annotations": n, "first_annotation_token": "",
-             "last_annotation_token": ""} for name, n in (("i0", 1), ("i1", 2))
-        ],
-        "sensor": [{"token": n, "channel": n, "modality": "camera"} for n in ("F", "B")],
-        "calibrated_sensor": [
-            {"token": "F", "sensor_token": "F", "translation": [1, 0, 1], "rotation": AHEAD, "camera_intrinsic": K},
-            {"token": "B", "sensor_token": "B", "translation": [-1, 0, 1], "rotation": LOOKS_BACK.tolist(),
-             "camera_intrinsic": K},
-        ],
-        "ego_pose": [{"token": "p", "translation": [100, 0, 0], "rotation": left}],
-        "sample_data": [
-            {"token": n, "sample_token": "s", "ego_pose_token": "p", "calibrated_sensor_token": n, "width": 800,
-             "height": 450, "is_key_frame": True, "filename": f"../../samples/{n}/{n}__17.jpg"} for n in ("F", "B")
-        ],
-        "sample_annotation": [annotation("a0", "i0", 11), annotation("a1", "i1", -11)],
-    }  # fmt: skip
-    (folder / "v1.0-mini").mkdir()
-    for name, rows in (content | changes).items():
-        (folder / "v1.0-mini" / f"{name}.json").write_text(json.dumps(rows))
-    return folder
-
-
 def test_each_camera_has_the_boxes_that_it_sees(tmp_path: Path) -> None:
-    found = read_nuscenes(foreign(tmp_path))
-    assert set(found) == {"F__17", "B__17"}
-    (ahead,), (back,) = found["F__17"].truths, found["B__17"].truths
-    assert (ahead.label, ahead.track_id, back.track_id) == ("vehicle.car", None, 1)
-    # front camera: 10 m away, with the length along the viewing direction
-    facing = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-    assert_same_box(ahead.box, OrientedBox.from_parts(np.array([0.0, 0.0, 10.0]), facing, np.array([4.0, 2.0, 1.5])))
-    np.testing.assert_allclose(back.box.center_m, [0, 0, 10], atol=1e-9)
-
-
-ROW = {"token": "a0", "sample_token": "s", "instance_token": "i0", "translation": [100, 11, 1], "size": [2, 4, 1]}
-
-
-@pytest.mark.parametrize(
-    ("table", "rows", "problem"),
-    [
-        ("sample_annotation", [ROW | {"rotation": [0, 0, 0, 0]}], "row a0: rotation: .* not a unit quat"),
-        (
-            "sample_annotation",
-            [ROW | {"rotation": AHEAD, "instance_token": "x"}],
-            r"row a0: refers to the token x, which is not in instance\.json",
-        ),
-        ("ego_pose", [], r"sample_data\.json: row F: refers to the token p, which is not in ego_pose\.json"),
-    ],
-)
-def test_errors_of_invalid_tables_name_the_place(tmp_path: Path, table: str, rows: Any, problem: str) -> None:
-    with pytest.raises(FormatError, match=problem):
-        read_nuscenes(foreign(tmp_path, **{table: rows}))
-    (tmp_path / "v1.0-mini" / f"{table}.json").write_text('[\n{"token": "F",')
-    with pytest.raises(FormatError, match=rf"{table}\.json: is cut off"):
-        read_nuscenes(tmp_path / "v1.0-mini")
+    found = read_nuscenes(small(tmp_path, scenes=1, samples=2, sweeps=0))
+    names = {name.split("__")[1]: name for name in list(found)[:2]}
+    assert set(names) == {"CAM_FRONT", "CAM_BACK"} and len(found) == 4
+    for channel, track, delay_us, x_m in (("CAM_FRONT", 0, -15_000, 10.0), ("CAM_BACK", 1, 20_000, -8.0)):
+        (truth,) = found[names[channel]].truths
+        assert (truth.label, truth.track_id) == ("vehicle.car", track)
+        T_camera_ego = (ego_pose(START_US + delay_us) * mount(channel)).inv() * ego_pose(START_US)
+        np.testing.assert_allclose(truth.box.center_m, T_camera_ego.apply([x_m, 0.5, 1.0]), atol=1e-9)
+        np.testing.assert_allclose(truth.box.rotation, T_camera_ego.rotation.as_matrix(), atol=1e-9)
+    # an object of one frame is no track
+    (alone, _) = read_nuscenes(small(tmp_path / "one", scenes=1, samples=1, sweeps=0)).values()
+    assert [each.track_id for each in alone.truths] == [None]
+    annotations, path = (tmp_path / "v1.0-mini" / f"{name}.json" for name in ("sample_annotation", "ego_pose"))
+    whole = annotations.read_text()
+    annotations.write_text(json.dumps([row | {"rotation": [0, 0, 0, 0]} for row in json.loads(whole)]))
+    with pytest.raises(FormatError, match=r"row ap0-0ahead: rotation: .* not a unit quat"):
+        read_nuscenes(tmp_path)
+    annotations.write_text(whole)
+    for text, problem in (
+        ("[]", r"sample_data\.json: row \S+: refers to the token \S+, which is not in ego_pose\.json"),
+        ('[\n{"token": "F",', r"ego_pose\.json: is cut off"),
+    ):
+        path.write_text(text)
+        with pytest.raises(FormatError, match=problem):
+            read_nuscenes(tmp_path)

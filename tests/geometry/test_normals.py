@@ -121,27 +121,27 @@ CAMERA = Camera(320, 240, 260.0, 260.0, 159.5, 119.5)
 LEVEL = np.array([0.0, -1.0, 0.0])
 
 
-def planes_frame(up: np.ndarray, *, floor: bool = True, walls: bool = True, seed: int = 0) -> Frame:
+def flat_frame(depth: np.ndarray) -> Frame:
+    """A frame of a depth image without colours."""
+    depth_m = depth.astype(np.float32)
+    xyz, pixel = unproject_depth(CAMERA, depth_m)
+    return Frame("0", 0, CAMERA, np.zeros((240, 320, 3), np.uint8), PointCloud(xyz, pixel_index=pixel), depth_m)
+
+
+def planes_frame(up: np.ndarray) -> Frame:
     """A noisy depth image of a floor 1.2 m below the camera and of two walls."""
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     turn = Rotation.align_vectors(up[None], LEVEL[None])[0]
     rays = np.dstack(
-        [
-            *np.meshgrid((np.arange(320) - 159.5) / 260.0, (np.arange(240) - 119.5) / 260.0),
-            np.ones((240, 320)),
-        ]
+        [*np.meshgrid((np.arange(320) - 159.5) / 260.0, (np.arange(240) - 119.5) / 260.0), np.ones((240, 320))]
     )
     depth = np.full((240, 320), np.inf)
-    walls_at = [((-0.6, 0.0, -0.8), -3.0), ((0.8, 0.0, -0.6), -3.5)]
-    for normal, offset in [*([((0.0, -1.0, 0.0), -1.2)] if floor else []), *(walls_at if walls else [])]:
+    for normal, offset in (((0.0, -1.0, 0.0), -1.2), ((-0.6, 0.0, -0.8), -3.0), ((0.8, 0.0, -0.6), -3.5)):
         along = rays @ turn.apply(normal)
         with np.errstate(divide="ignore"):
             z = offset / along
         depth = np.where((z > 0) & (z < depth), z, depth)
-    depth = np.where(np.isfinite(depth) & (depth < 8), depth * random.normal(1, 0.002, depth.shape), 0.0)
-    xyz, pixel = unproject_depth(CAMERA, depth.astype(np.float32))
-    rgb = np.zeros((240, 320, 3), np.uint8)
-    return Frame("0", 0, CAMERA, rgb, PointCloud(xyz, pixel_index=pixel), depth.astype(np.float32))
+    return flat_frame(np.where(np.isfinite(depth) & (depth < 8), depth * random.normal(1, 0.002, depth.shape), 0.0))
 
 
 def degrees(a: np.ndarray, b: np.ndarray) -> float:
@@ -159,19 +159,13 @@ def test_a_room_tells_its_up_direction_whatever_the_tilt(roll_deg: int, pitch_de
     assert found.certainty > LEAST_CERTAINTY
 
 
-def test_one_wall_alone_is_refused():
-    rgb = np.zeros((240, 320, 3), np.uint8)
-    depth = np.random.default_rng(0).normal(2, 0.004, (240, 320)).astype(np.float32)
-    xyz, pixel = unproject_depth(CAMERA, depth)
-    found = estimate_up(Frame("0", 0, CAMERA, rgb, PointCloud(xyz, pixel_index=pixel), depth))
-    assert found is None or found.certainty < LEAST_CERTAINTY
-
-
-@pytest.mark.parametrize("points", [0, 40, 3000])
-def test_points_without_planes_are_refused(points: int):
-    xyz = np.random.default_rng(1).normal((0, 0, 4), 1, (points, 3)).astype(np.float32)
-    rgb = np.zeros((240, 320, 3), np.uint8)
-    found = estimate_up(Frame("0", 0, CAMERA, rgb, PointCloud(xyz)))
+@pytest.mark.parametrize("points", [None, 0, 40, 3000])
+def test_one_wall_alone_and_points_without_planes_are_refused(points: int | None):
+    frame = flat_frame(np.random.default_rng(0).normal(2, 0.004, (240, 320)))
+    if points is not None:
+        xyz = np.random.default_rng(1).normal((0, 0, 4), 1, (points, 3)).astype(np.float32)
+        frame = replace(frame, cloud=PointCloud(xyz), depth_m=None)
+    found = estimate_up(frame)
     assert found is None or found.certainty < LEAST_CERTAINTY
 
 

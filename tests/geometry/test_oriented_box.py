@@ -53,17 +53,24 @@ def test_a_point_is_inside_if_it_is_inside_along_each_axis(dtype: type) -> None:
     assert contains(box, wide[:0, :3]).shape == (0,)
 
 
-MIRROR = np.diag([1.0, 1.0, -1.0])
-
-
 @pytest.mark.parametrize(
-    "rotation",
-    [MIRROR, np.zeros((3, 3)), 1.01 * np.eye(3), np.nan * np.eye(3)],
-    ids=["mirror", "zeros", "scaled", "NaN"],
+    ("center", "rotation", "size", "says"),
+    [
+        ((0, 0, 0), np.diag([1.0, 1.0, -1.0]), (1, 1, 1), "proper rotation matrix"),
+        ((0, 0, 0), np.zeros((3, 3)), (1, 1, 1), "proper rotation matrix"),
+        ((0, 0, 0), 1.01 * np.eye(3), (1, 1, 1), "proper rotation matrix"),
+        ((0, 0, 0), np.nan * np.eye(3), (1, 1, 1), "proper rotation matrix"),
+        ((0, 0, np.nan), np.eye(3), (1, 1, 1), "finite"),
+        ((0, 0, 0), np.eye(3), (1, 0, 1), "positive"),
+        ((-2e9, 0, 0), np.eye(3), (1, 1, 1), "within"),
+    ],
+    ids=["mirror", "zeros", "scaled", "no rotation", "no place", "flat", "far"],
 )
-def test_a_matrix_that_is_not_a_rotation_is_refused(rotation: np.ndarray) -> None:
-    with pytest.raises(ValueError, match="proper rotation matrix"):
-        OrientedBox.from_parts(np.zeros(3), rotation, np.ones(3))
+def test_what_is_no_box_is_refused(
+    center: tuple[float, ...], rotation: np.ndarray, size: tuple[float, ...], says: str
+) -> None:
+    with pytest.raises(ValueError, match=says):
+        OrientedBox.from_parts(np.array(center, float), rotation, np.array(size, float))
 
 
 @settings(deadline=None)
@@ -74,19 +81,6 @@ def test_a_matrix_that_is_nearly_a_rotation_becomes_one(box: OrientedBox, row: i
     made = OrientedBox.from_parts(box.center_m, rotation, box.size_m).rotation
     np.testing.assert_allclose(made.T @ made, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(made, rotation, atol=2 * error)
-
-
-@pytest.mark.parametrize(
-    ("center", "size"),
-    [
-        ([0, 0, np.nan], [1, 1, 1]),
-        ([0, 0, 0], [1, 0, 1]),
-        ([-2e9, 0, 0], [1, 1, 1]),
-    ],
-)
-def test_invalid_positions_and_sizes_are_refused(center: list[float], size: list[float]) -> None:
-    with pytest.raises(ValueError, match=r"finite|positive|within"):
-        OrientedBox.from_parts(np.array(center, float), np.eye(3), np.array(size, float))
 
 
 @pytest.mark.parametrize("edges", [(0, 0, np.nan, 1), (0, -np.inf, 1, 1), (1, 0, 1, 1), (0, 2, 1, 1)])

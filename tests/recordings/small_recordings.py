@@ -30,17 +30,6 @@ def put(path: Path, content: bytes | str) -> None:
     path.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
-def replaced(name: str, old: str, new: str) -> Callable[[Path], object]:
-    """Changes a text file of a recording."""
-
-    def change(path: Path) -> None:
-        text = (path / name).read_text()
-        assert old in text
-        (path / name).write_text(text.replace(old, new, 1))
-
-    return change
-
-
 def kitti_object(folder: Path, keys: Sequence[str] = ("0",)) -> None:
     for key in keys:
         put_image(folder / "image_2" / f"{key}.png", 1)

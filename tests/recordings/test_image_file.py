@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rgbd_samples import write_rgbd
 
 from annotator.frame_limits import most_pixels
 from annotator.image_bytes import decode_image
@@ -88,26 +88,13 @@ def test_real_images_are_complete(shared: Path):
         decode_image(path.read_bytes(), cv2.IMREAD_UNCHANGED)
 
 
-WIDTH, HEIGHT = 12, 8
-CAMERA = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [10.0, 0, 0, 0, 11.0, 0, 5.5, 3.5, 1]}
-MILLIMETRES = np.full((HEIGHT, WIDTH), 2000, np.uint16)
-MILLIMETRES[0, :4] = 65535, 65504, 0, 65503
-COLOR = np.random.default_rng(5).integers(0, 256, (HEIGHT, WIDTH, 3)).astype(np.uint8)
+COLOR = np.random.default_rng(5).integers(0, 256, (8, 12, 3)).astype(np.uint8)
 COLOR[0, 0] = 255
 
 
-def as_png(image: np.ndarray) -> bytes:
-    return cv2.imencode(".png", image)[1].tobytes()
-
-
 def rgbd(folder: Path, colors: list[np.ndarray]) -> Path:
-    for name in ("color", "depth"):
-        (folder / name).mkdir()
-    (folder / "camera_intrinsic.json").write_text(json.dumps(CAMERA))
-    for number, color in enumerate(colors):
-        (folder / "color" / f"{number}.png").write_bytes(as_png(color[..., ::-1] if color.ndim == 3 else color))
-        (folder / "depth" / f"{number}.png").write_bytes(as_png(MILLIMETRES))
-    return folder
+    depth = np.full(COLOR.shape[:2], 2000, np.uint16)
+    return write_rgbd(folder, {str(number): (color, depth) for number, color in enumerate(colors)})
 
 
 DEEP = [(8, 3), (10, 1), (12, 3), (16, 1)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rgbd_samples import png, write_rgbd
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.projection import project
@@ -22,10 +22,6 @@ from annotator.workflows.checking.dataset_check import check_datasets
 
 WIDTH, HEIGHT = 12, 8
 INTRINSICS = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [10.0, 0, 0, 0, 11.0, 0, 5.5, 3.5, 1]}
-
-
-def png(image: np.ndarray) -> bytes:
-    return cv2.imencode(".png", image)[1].tobytes()
 
 
 @pytest.fixture
@@ -43,13 +39,7 @@ def depth() -> np.ndarray:
 @pytest.fixture
 def folder(tmp_path: Path, color: np.ndarray, depth: np.ndarray) -> Path:
     """A recording of the frames 000000 and 000001, with the same image."""
-    for name in ("color", "depth"):
-        (tmp_path / name).mkdir()
-    (tmp_path / "camera_intrinsic.json").write_text(json.dumps(INTRINSICS))
-    for key in ("000000", "000001"):
-        (tmp_path / "color" / f"{key}.png").write_bytes(png(color[:, :, ::-1]))
-        (tmp_path / "depth" / f"{key}.png").write_bytes(png(depth))
-    return tmp_path
+    return write_rgbd(tmp_path, dict.fromkeys(("000000", "000001"), (color, depth)), **INTRINSICS)
 
 
 def test_a_frame_has_its_image_depth_and_coloured_cloud(folder: Path, color: np.ndarray, depth: np.ndarray):
@@ -138,48 +128,6 @@ def test_a_missing_image_affects_only_its_frame(folder: Path):
     with pytest.raises(FrameError, match=r"color/000001\.png: missing; .* beside depth/000001\.png"):
         recording.frame(1)
     assert recording.frame(2).key == "000002"
-
-
-def truncate(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-20])
-
-
-def intrinsics(**change: object) -> Callable[[Path], None]:
-    return lambda path: path.write_text(json.dumps(INTRINSICS | change)) and None
-
-
-def image(array: np.ndarray) -> Callable[[Path], None]:
-    return lambda path: path.write_bytes(png(array)) and None
-
-
-COLOR, DEPTH, CAMERA = "color/000000.png", "depth/000000.png", "camera_intrinsic.json"
-DAMAGES = [
-    pytest.param(COLOR, truncate, "the image is damaged or truncated", id="truncated-colour"),
-    pytest.param(DEPTH, image(np.ones((HEIGHT, WIDTH), np.uint8)), "8-bit with 1", id="8-bit-depth"),
-    pytest.param(
-        DEPTH, image(np.ones((HEIGHT, 9), np.uint16)), "the image is 9 x 8 pixels, but the col", id="depth-size"
-    ),
-    pytest.param(COLOR, image(np.ones((6, WIDTH, 3), np.uint8)), "is 12 x 6 pixels, but the camera in", id="size"),
-    pytest.param(DEPTH, image(np.zeros((HEIGHT, WIDTH), np.uint16)), "the cloud is empty", id="no-depth"),
-    pytest.param(CAMERA, Path.unlink, "missing; write width", id="no-camera"),
-    pytest.param(CAMERA, intrinsics(intrinsic_matrix=[9, 0, 5, 0, 9, 4, 0, 0, 1]), "column by column", id="row-major"),
-    pytest.param("gravity.json", lambda p: p.write_text('{"up": [0, 0, 0]}'), "up has length 0", id="gravity-zero"),
-]
-
-
-@pytest.mark.parametrize(("name", "damage", "complaint"), DAMAGES)
-def test_damage_is_an_error_with_file_cause_and_solution(
-    folder: Path, name: str, damage: Callable[[Path], object], complaint: str
-):
-    damage(folder / name)
-    recording = open_recording(folder)
-    with pytest.raises(FrameError, match=complaint) as caught:
-        recording.frame(0)
-    assert caught.value.path == folder / name
-    assert str(caught.value).startswith(f"{folder / name}: ")
-    assert "; " in str(caught.value)  # the solution
-    if "/" in name:
-        assert recording.frame(1).key == "000001"  # the other frame can be read
 
 
 def test_sun_rgbds_rotated_depth_is_noticed(folder: Path, depth: np.ndarray):

@@ -2,46 +2,116 @@
 
 from __future__ import annotations
 
+import json
 import re
 import struct
 from collections.abc import Callable
 from fnmatch import fnmatch
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import small_recordings as made
-from small_recordings import cloud_folder, kitti_object, kitti_raw, kitti_tracking, rgbd_folder
+from kitti_samples import HEIGHT, WIDTH
+from rgbd_samples import png
+from small_recordings import cloud_folder, kitti_object, kitti_raw, kitti_tracking, rgbd_folder, sunrgbd_extracted
 
 from annotator.recordings import open_recording
 from annotator.recordings.frame_times import has_times, known_times, read_times, recorded_times
 from annotator.recordings.recording import Recording
-from annotator.types.errors import FrameError, RecordingError
+from annotator.types.errors import RecordingError
 from annotator.workflows.recorded.condition import broken_frames
 
-KNOWN_CASES = [
-    (kitti_object, "calib/0.txt", lambda old: re.sub(rb"P2: \S+", b"P2: 1e308", old), "not finite or is too large"),
-    (kitti_object, "calib/0.txt", lambda old: re.sub(rb"P2: \S+", b"P2: 1e-320", old), "P2 is not a pinhole camera"),
-    (kitti_raw, "calib_velo_to_cam.txt", lambda old: re.sub(rb"R: \S+", b"R: 0.9", old), "pose is not a rotation"),
+Change = Callable[[bytes], bytes | None]
+Case = tuple[Callable[[Path], object], str, Change, str]
+
+
+def replaced(pattern: bytes, new: bytes) -> Change:
+    return lambda old: re.sub(pattern, new, old, count=1)
+
+
+def removed(_: bytes) -> None:
+    return None
+
+
+def described(**changes: object) -> Change:
+    return lambda old: json.dumps(json.loads(old) | changes).encode()
+
+
+def picture(shape: tuple[int, ...], value: int = 1, kind: type = np.uint16) -> Change:
+    return lambda _: png(np.full(shape, value, kind))
+
+
+def scan(*values: float) -> Change:
+    return lambda _: struct.pack(f"<{len(values)}f", *values)
+
+
+# Builds a recording; the file that is changed or removed, and what its error says.
+KNOWN_CASES: list[Case] = [
+    (kitti_object, "calib/0.txt", replaced(rb"P2: \S+", b"P2: 1e308"), "not finite or is too large"),
+    (kitti_object, "calib/0.txt", replaced(rb"P2: \S+", b"P2: 1e-320"), "P2 is not a pinhole camera"),
+    (kitti_tracking, "velodyne/0.bin", scan(*[3e38, 0, 0, 1] * 3), "every point is NaN"),
+    *((build, "velodyne/0.bin", lambda old: old[:-7], "the scan is truncated: 47993 bytes.*; ")
+      for build in (kitti_object, kitti_tracking)),
+    *((build, "velodyne/0.bin", removed, r"missing; put 0\.bin beside the image 0")
+      for build in (kitti_object, kitti_tracking)),
+    *((build, "velodyne/0.bin", scan(-5, 0, 0, 0.5), "none of its points lies in the image.*; ")
+      for build in (kitti_object, kitti_tracking)),
+    *((build, calib, replaced(rb"P2", b"P"), "P2 is missing.*; ")
+      for build, calib in ((kitti_object, "calib/0.txt"), (kitti_tracking, "calib.txt"))),
+    *((build, calib, replaced(rb"P2: 7\.", b"P2: 7,"), "P2: '7,0*e.01' has a decimal comma; ")
+      for build, calib in ((kitti_object, "calib/0.txt"), (kitti_tracking, "calib.txt"))),
+    (kitti_raw, "calib_velo_to_cam.txt", replaced(rb"R: \S+", b"R: 0.9"), "pose is not a rotation"),
+    (kitti_raw, "calib_velo_to_cam.txt", replaced(rb"T: ", b"T: 1 "), "must have 3 numb"),
+    (kitti_raw, "image_02/timestamps.txt", lambda _: b"2011-02-31 13:02:25.9\n", "line 1 must"),
+    (rgbd_folder, "color/0.png", lambda old: old[:-20], "the image is damaged or truncated.*; "),
+    (rgbd_folder, "color/0.png", picture((6, WIDTH, 3), 1, np.uint8), "is 120 x 6 pixels, but the camera in.*; "),
+    (rgbd_folder, "depth/0.png", picture((HEIGHT, WIDTH), 1, np.uint8), "8-bit with 1.*; "),
+    (rgbd_folder, "depth/0.png", picture((HEIGHT, 9)), "the image is 9 x 40 pixels, but the col.*; "),
+    (rgbd_folder, "depth/0.png", picture((HEIGHT, WIDTH), 0), "the cloud is empty.*; "),
+    (rgbd_folder, "camera_intrinsic.json", removed, "missing; write width"),
+    (rgbd_folder, "camera_intrinsic.json", replaced(rb"\[70[^]]+", b"[9, 0, 5, 0, 9, 4, 0, 0, 1"),
+     "column by column"),
     (rgbd_folder, "camera_intrinsic.json", lambda _: b"[" * 200_000, "not a camera file"),
-    (rgbd_folder, "camera_intrinsic.json", lambda old: old.replace(b"500.0", b"1e-320"), "depth_scale"),
+    (rgbd_folder, "camera_intrinsic.json", replaced(rb"500\.0", b"1e-320"), "depth_scale"),
+    (rgbd_folder, "gravity.json", lambda _: b'{"up": [0, 0, 0]}', "up has length 0.*; "),
     (rgbd_folder, "gravity.json", lambda _: b'{"up": [1e308, 1e308, 0]}', "not a gravity file"),
     (cloud_folder, "camera_intrinsic.json", lambda old: re.sub(rb'(th|ht)": [0-9]+', rb'\1": 60000', old), "pixels"),
-    (kitti_tracking, "velodyne/0.bin", lambda _: struct.pack("<4f", 3e38, 0, 0, 1) * 3, "every point is NaN"),
-]
+    (partial(sunrgbd_extracted, keys=("0", "1")), "calib/0.txt", removed, "the calibration is missing"),
+    (sunrgbd_extracted, "calib/0.txt", lambda _: b"1 0 0 0 1 0 0 0 1\n", "must have two lines"),
+    (sunrgbd_extracted, "calib/0.txt", lambda _: b"1 0 0 0 1 0 0 0 2\n1 0 0 0 1 0 0 0 1", "the tilt is not a rotation"),
+    (sunrgbd_extracted, "depth/0.mat", lambda _: b"", "is not a MATLAB file"),
+    (partial(sunrgbd_extracted, clouds="points"), "points/0.npz", lambda _: b"", "the file is empty"),
+    (made.sunrgbd_scene, "extrinsics/20160101.txt", lambda _: b"1 2 3", "must have 12 numbers"),
+    (made.sunrgbd_scene, "depth/0000048.png", picture((39, 60)), "the image"),
+    (made.sunrgbd_scene, "depth/0000048.png", picture((40, 60), 0), "no pixel has a depth"),
+    (made.tum_rgbd, "rgb.txt", replaced(rb"\n1305031102", b"\nx"), r"rgb\.txt:4: must begin with a time"),
+    (made.tum_rgbd, "depth.txt", replaced(rb"\.png", b".exr"), r"depth\.txt:4: must be a time and a PNG"),
+    (made.tum_rgbd, "rgb/1305031102.000000.png", removed, "cannot be read"),
+    (made.record3d, "metadata", described(K=[1, 0, 5, 0, 1, 5, 0, 0, 1], perFrameIntrinsicCoeffs=[]),
+     "column by column"),
+    (made.stray_scanner, "odometry.csv", replaced(b"qw", b"w"), "csv:1: must name the columns"),
+    (made.stray_scanner, "odometry.csv", replaced(b"000001", b"000000"), "csv:3: frame '000000' is not a number"),
+    (made.stray_scanner, "odometry.csv", replaced(b", 0.1, 0.2, 0.3, ", b", 0, 0, 0, 9"), "line 2: qx qy qz qw is not"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("build", "name", "change", "complaint"), KNOWN_CASES)
 def test_known_cases_are_errors(
-    tmp_path: Path, build: Callable[[Path], None], name: str, change: Callable[[bytes], bytes], complaint: str
+    tmp_path: Path, build: Callable[[Path], object], name: str, change: Change, complaint: str
 ):
     build(tmp_path)
     file = tmp_path / name
-    assert change(file.read_bytes()) != file.read_bytes()
-    file.write_bytes(change(file.read_bytes()))
-    with pytest.raises(FrameError, match=complaint) as caught:
+    content = change(file.read_bytes())
+    assert content != file.read_bytes()
+    if content is None:
+        file.unlink()
+    else:
+        file.write_bytes(content)
+    with pytest.raises(RecordingError, match=complaint) as caught:
         open_recording(tmp_path).frame(0)
-    assert str(caught.value).startswith(f"{file}: ")
+    assert str(caught.value).startswith(f"{file}:")
 
 
 FILES: list[tuple[Callable[[Path], None], list[str]]] = [

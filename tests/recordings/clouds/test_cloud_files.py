@@ -6,6 +6,7 @@ import io
 import resource
 import struct
 import sys
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
@@ -73,8 +74,7 @@ def test_pcd_with_padding_and_intensity_is_read(tmp_path: Path, data: str):
 FIELDS = np.rec.fromarrays([*XYZ.T, SHARE], names=["X", "Y", "Z", "intensity"]).view(np.ndarray)
 ARRAYS = [
     ("a.npy", npy(XYZ), None, None), ("a.npy", npy(np.asfortranarray(np.c_[XYZ, SHARE])), None, SHARE),
-    ("a.npy", npy(np.c_[XYZ, RGB / 255]), RGB, None), ("a.npy", npy(np.c_[XYZ, RGB]), RGB, None),
-    ("a.npy", npy(FIELDS), None, SHARE), ("a.npz", npz(points=XYZ, colors=RGB), RGB, None),
+    ("a.npy", npy(np.c_[XYZ, RGB]), RGB, None), ("a.npy", npy(FIELDS), None, SHARE),
     ("a.npz", npz(arr_0=np.c_[XYZ, SHARE], other=SHARE), None, SHARE),
 ]  # fmt: skip
 
@@ -168,20 +168,37 @@ LAS_RGB = RANDOM.integers(0, 256, (LAS_COUNT, 3)).astype(np.uint8)
 FORMATS = [("1.2", 0, 0), ("1.2", 3, 0), ("1.4", 7, 2)]
 
 
-@lru_cache
-def written(version: str, point_format: int, more: int, is_compressed: bool) -> bytes:
+def las(
+    version: str = "1.2",
+    point_format: int = 3,
+    change: Callable[[laspy.LasData], object] = lambda _: None,
+    more: int = 0,
+) -> laspy.LasData:
+    """A cloud of `LAS_XYZ`, with some more bytes for each point, after a change."""
     header = laspy.LasHeader(point_format=point_format, version=version)
     header.scales, header.offsets = [0.001, 0.001, 0.001], np.array([10.0, 20.0, 0.0])
     for number in range(more):
         header.add_extra_dim(laspy.ExtraBytesParams(f"more{number}", "u1"))
     cloud = laspy.LasData(header)
     cloud.x, cloud.y, cloud.z = LAS_XYZ.T
-    cloud.intensity = INTENSITY
-    if "red" in cloud.point_format.dimension_names:
-        cloud.red, cloud.green, cloud.blue = LAS_RGB.T.astype(np.uint16) << 8
+    change(cloud)
+    return cloud
+
+
+def content(cloud: laspy.LasData, is_compressed: bool = False) -> bytes:
     out = io.BytesIO()
     cloud.write(out, do_compress=is_compressed, laz_backend=laspy.LazBackend.Lazrs if is_compressed else None)
     return out.getvalue()
+
+
+@lru_cache
+def written(version: str, point_format: int, more: int, is_compressed: bool) -> bytes:
+    def fill(cloud: laspy.LasData) -> None:
+        cloud.intensity = INTENSITY
+        if "red" in cloud.point_format.dimension_names:
+            cloud.red, cloud.green, cloud.blue = LAS_RGB.T.astype(np.uint16) << 8
+
+    return content(las(version, point_format, fill, more), is_compressed)
 
 
 @pytest.mark.parametrize("suffix", [".las", ".LAZ"])
@@ -199,15 +216,11 @@ def test_files_written_by_laspy_are_read(tmp_path: Path, version: str, point_for
 
 
 def test_withheld_points_8_bit_colours_and_empty_columns_are_handled():
-    header = laspy.LasHeader(point_format=2, version="1.2")
-    header.scales = [0.001] * 3
-    cloud = laspy.LasData(header)
-    cloud.x, cloud.y, cloud.z = LAS_XYZ.T
-    cloud.red, cloud.green, cloud.blue = LAS_RGB.T
-    cloud.withheld = np.arange(LAS_COUNT) % 3 == 0
-    out = io.BytesIO()
-    cloud.write(out)
-    read = parse_las(out.getvalue())
+    def fill(cloud: laspy.LasData) -> None:
+        cloud.red, cloud.green, cloud.blue = LAS_RGB.T
+        cloud.withheld = np.arange(LAS_COUNT) % 3 == 0
+
+    read = parse_las(content(las(point_format=2, change=fill)))
     np.testing.assert_allclose(read.xyz_m, LAS_XYZ[np.arange(LAS_COUNT) % 3 > 0], atol=1e-9)
     np.testing.assert_array_equal(read.rgb, LAS_RGB[np.arange(LAS_COUNT) % 3 > 0])
     assert read.reflectance is None
@@ -216,30 +229,21 @@ def test_withheld_points_8_bit_colours_and_empty_columns_are_handled():
 LIMITS = (2**31 - 1, -(2**31))
 
 
-def saturated(axes: str, count: int, limit: int) -> bytes:
-    header = laspy.LasHeader(point_format=3, version="1.2")
-    header.scales = [0.001] * 3
-    cloud = laspy.LasData(header)
-    cloud.x, cloud.y, cloud.z = LAS_XYZ.T
-    for axis in axes:
-        cloud[axis.upper()][:count] = limit
-    out = io.BytesIO()
-    cloud.write(out)
-    return out.getvalue()
-
-
 @pytest.mark.parametrize(
     ("axes", "count", "left"), [("y", 2, LAS_COUNT - 2), ("z", LAS_COUNT // 50, 0), ("xyz", 150, 150)]
 )
 def test_coordinates_at_the_limits_of_their_type_are_no_points(axes: str, count: int, left: int):
     """Few: left out. Many of one axis: saturated. Any number of all three axes: no return."""
     for limit in LIMITS:
-        content = saturated(axes, count, limit)
+        cloud = las()
+        for axis in axes:
+            cloud[axis.upper()][:count] = limit
+        saturated = content(cloud)
         if left:
-            np.testing.assert_allclose(parse_las(content).xyz_m, LAS_XYZ[count:], atol=1e-9)
+            np.testing.assert_allclose(parse_las(saturated).xyz_m, LAS_XYZ[count:], atol=1e-9)
             continue
         with pytest.raises(ValueError, match=rf"saturated: {count} of {LAS_COUNT} points are at the limit of int32"):
-            parse_las(content)
+            parse_las(saturated)
 
 
 def test_a_crash_of_the_decoder_is_an_error_of_the_file(tmp_path: Path):
@@ -256,7 +260,7 @@ def patched(data: bytes, at: int, code: str, value: int) -> bytes:
 
 
 LAS_HUGE = 2**32 - 1
-OLD, NEW = written("1.2", 3, 0, True), written("1.4", 7, 2, True)
+OLD = written("1.2", 3, 0, True)
 FALSE_LAS = [
     (b"LASF" + bytes(300), "position of the points, byte 0"),
     (written("1.2", 3, 0, False)[:-1], "cannot be read as LAS or LAZ"),
@@ -267,7 +271,7 @@ FALSE_LAS = [
 ]
 
 
-@pytest.mark.parametrize(("content", "complaint"), FALSE_LAS)
-def test_a_false_header_of_las_is_an_error(content: bytes, complaint: str):
+@pytest.mark.parametrize(("false", "complaint"), FALSE_LAS)
+def test_a_false_header_of_las_is_an_error(false: bytes, complaint: str):
     with pytest.raises(ValueError, match=complaint):
-        parse_las(content)
+        parse_las(false)

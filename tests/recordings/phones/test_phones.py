@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import zipfile
 from collections.abc import Callable
 from contextlib import suppress
@@ -12,7 +11,6 @@ import av
 import numpy as np
 import phone_samples as made
 import pytest
-from small_recordings import replaced
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
@@ -100,6 +98,9 @@ def test_a_smaller_image_than_the_metadata_names_has_a_smaller_camera(tmp_path: 
     path = made.write_record3d(tmp_path / "take.r3d", made.frames(1), w=640, h=480)
     camera = open_recording(path).frame(0).camera
     assert (camera.width_px, camera.fx, camera.cx) == (320, 150.0, (159.5 + 0.5) / 2 - 0.5)
+    other = made.write_record3d(tmp_path / "other.r3d", made.frames(1), h=400)
+    with pytest.raises(FrameError, match="the image is 320 x 240 pixels, but the metadata has 320 x 400"):
+        open_recording(other).frame(0)
 
 
 def test_older_stray_scanner_folders_share_one_camera_matrix_and_have_numpy_depth(tmp_path: Path):
@@ -181,48 +182,9 @@ def test_confidence_that_leaves_nothing_is_an_error(tmp_path: Path):
     assert len(open_recording(path, ReaderOptions(min_confidence=0)).frame(0).cloud) > 1000
 
 
-def metadata(**changes: object) -> Callable[[Path], None]:
-    def change(path: Path) -> None:
-        content = json.loads((path / "metadata").read_text()) | changes
-        (path / "metadata").write_text(json.dumps(content))
-
-    return change
-
-
-R3D_DAMAGES = [
-    pytest.param(metadata(K=[1, 0, 5, 0, 1, 5, 0, 0, 1], perFrameIntrinsicCoeffs=[]), "column by column", id="rows"),
-    pytest.param(metadata(h=400), "the image is 320 x 240 pixels, but the metadata has 320 x 400", id="size"),
-]
-
-
 def test_frames_of_record3d_have_the_times_of_its_rate_if_none_is_set(tmp_path: Path):
     recording = open_recording(made.write_record3d(tmp_path / "take", made.frames(3), frameTimestamps=[0, 0, 0]))
     assert [recording.frame(i).timestamp_ns for i in range(3)] == [0, 16_666_667, 33_333_333]
-
-
-STRAY_DAMAGES = [
-    pytest.param(replaced("odometry.csv", "qw", "w"), "csv:1: must name the columns", id="header"),
-    pytest.param(replaced("odometry.csv", "000001", "000000"), "csv:3: frame '000000' is not a number", id="twice"),
-    pytest.param(replaced("odometry.csv", ", 0.1, 0.2, 0.3, ", ", 0, 0, 0, 9"), "line 2: qx qy qz qw is not a", id="q"),
-]
-
-
-DAMAGES = [
-    pytest.param(make, *damage.values, id=f"{make.__name__}-{damage.id}")
-    for make, damages in ((made.write_record3d, R3D_DAMAGES), (made.write_stray_scanner, STRAY_DAMAGES))
-    for damage in damages
-]
-
-
-@pytest.mark.parametrize(("make", "damage", "complaint"), DAMAGES)
-def test_damage_is_an_error_that_names_the_file(
-    tmp_path: Path, make: Callable[..., Path], damage: Callable[[Path], None], complaint: str
-):
-    path = make(tmp_path / "take", made.frames(2))
-    damage(path)
-    with pytest.raises(RecordingError, match=complaint) as caught:
-        open_recording(path).frame(0)
-    assert str(caught.value).startswith(str(path))
 
 
 def test_a_file_that_is_no_archive_is_an_error(tmp_path: Path):

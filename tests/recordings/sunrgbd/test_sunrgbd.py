@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from small_recordings import sunrgbd_extracted
-from sunrgbd_samples import DEPTH_MM, IMAGE, WIDTH, A, png, upright_points, write_scene
+from sunrgbd_samples import DEPTH_MM, IMAGE, WIDTH, A, upright_points, write_scene
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
@@ -115,49 +114,10 @@ def test_scenes_without_annotations_have_no_truth(scene: Path):
     assert has_truth(open_recording(scene.parent)), "it is enough if some scenes have annotations"
 
 
-def damage(name: str, content: bytes | None) -> Callable[[Path], Path]:
-    def apply(folder: Path) -> Path:
-        path = next(folder.glob(name))
-        path.unlink() if content is None else path.write_bytes(content)
-        return path
-
-    return apply
-
-
-EXTRACTED_DAMAGES = [
-    (damage("calib/000001.txt", None), "the calibration is missing"),
-    (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 1\n"), "must have two lines"),
-    (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 2\n1 0 0 0 1 0 0 0 1"), "the tilt is not a rotation"),
-    (damage("[dp]*/000001.*", b""), "is not a MATLAB file|the file is empty"),
-]
-
-
-@pytest.mark.parametrize(("harm", "complaint"), EXTRACTED_DAMAGES)
-def test_errors_of_a_damaged_extracted_frame_name_the_file(
-    extracted: Path, harm: Callable[[Path], Path], complaint: str
-):
-    path = harm(extracted)
-    recording = open_recording(extracted)
-    with pytest.raises(FrameError, match=complaint) as caught:
-        recording.frame(0)
-    assert caught.value.path.with_suffix("") == path.with_suffix("")
-    assert recording.frame(1).key == "000002"
-
-
-SCENE_DAMAGES = [
-    (damage("image/*", None), "has no .png or .jpg or .jpeg file"),
-    (damage("extrinsics/20160101.txt", b"1 2 3"), "must have 12 numbers"),
-    (damage("depth/*", png(DEPTH_MM[:-1])), "the image"),
-    (damage("depth/*", png(DEPTH_MM * 0)), "no pixel has a depth"),
-]
-
-
-@pytest.mark.parametrize(("harm", "complaint"), SCENE_DAMAGES)
-def test_errors_of_a_damaged_scene_name_the_scene(scene: Path, harm: Callable[[Path], Path], complaint: str):
-    harm(scene)
-    with pytest.raises(FrameError, match=complaint) as caught:
+def test_a_scene_without_its_image_is_an_error_that_names_it(scene: Path):
+    next((scene / "image").iterdir()).unlink()
+    with pytest.raises(FrameError, match=rf"{scene.name}.*has no .png or .jpg or .jpeg file"):
         open_recording(scene).frame(0)
-    assert str(scene) in str(caught.value)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from store_samples import by_machine, proposal_at
 
 from annotator.formats.coco import read_coco
 from annotator.formats.dataset_writing import Lost
@@ -18,7 +19,7 @@ from annotator.project import NewLabel, Project, RunShare, WriteContext
 from annotator.project.boxes import Boxes
 from annotator.project.records import ViewGeometry
 from annotator.recordings import open_recording
-from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, ReviewState, Source
+from annotator.types import Box2D, BoxKind, OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError, FormatError, StaleRevisionError
 from annotator.workflows.exporting import (
     ExportFilter,
@@ -80,10 +81,8 @@ def labelled(project: Project) -> list[int]:
 def propose(project: Project, frame_id: int) -> None:
     """Adds an unreviewed proposal to the frame."""
     run = project.jobs.start(image_detector="i", view_detector="v", config_json="{}")
-    box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), np.eye(3), np.ones(3))
-    found = Proposal("person", 0.5, box, DRAWN[0], (), Quality(0.0, 1.0, 0.0))
-    context = WriteContext(project.frames.get(frame_id).revision, "rcv", Source.AUTO)
-    project.proposals.replace(frame_id, [found], context, run=RunShare(run.id, 1.0))
+    context = by_machine(project.frames.get(frame_id).revision)
+    project.proposals.replace(frame_id, [proposal_at(label="person")], context, run=RunShare(run.id, 1.0))
 
 
 def exported(project: Project, out: Path, format: ExportFormat, **options: object) -> ExportReport:

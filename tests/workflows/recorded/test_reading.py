@@ -10,6 +10,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import rgbd_samples
+from rgbd_samples import write_rgbd
 from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.oriented_box import contains
@@ -24,15 +26,8 @@ BOX = {"label": "wall", "center": [0, 0, 1], "size": [2, 2, 0.1], "rotation": [[
 
 @pytest.fixture
 def wall(tmp_path: Path) -> Path:
-    """An RGB-D folder of two frames without labels: a wall at 1 m."""
-    for name in ("color", "depth"):
-        (tmp_path / name).mkdir()
-    camera = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [10, 0, 0, 0, 10, 0, 3.5, 2.5, 1]}
-    (tmp_path / "camera_intrinsic.json").write_text(json.dumps(camera))
-    for key in ("a", "b"):
-        cv2.imwrite(str(tmp_path / f"color/{key}.png"), np.full((HEIGHT, WIDTH, 3), 128, np.uint8))
-        cv2.imwrite(str(tmp_path / f"depth/{key}.png"), np.full((HEIGHT, WIDTH), 1000, np.uint16))
-    return tmp_path
+    """An RGB-D folder of the frames a and b without labels: a wall at 1 m."""
+    return write_rgbd(tmp_path, dict(zip("ab", rgbd_samples.wall(2).values(), strict=True)))
 
 
 def put(path: Path, content: Any) -> None:
@@ -65,16 +60,10 @@ def test_missing_labels_are_an_error_but_a_frame_without_objects_is_not(wall: Pa
     assert has_truth(recording)
     assert [truth.label for truth in load_truth(recording, 0, frame)] == ["wall", "shelf"]
     assert load_truth(recording, 1, recording.frame(1)) == []
-
-
-def test_the_truth_folder_has_precedence_and_a_changed_file_is_read_again(wall: Path) -> None:
-    recording = open_recording(wall)
-    frame = recording.frame(0)
-    put(wall / "boxes.json", {"a": {**BOX, "label": "beside"}})
-    put(wall / "truth/boxes.json", {"a": BOX})
-    assert [truth.label for truth in load_truth(recording, 0, frame)] == ["wall"]
-    put(wall / "truth/boxes.json", {"a": [BOX, BOX]})
-    assert len(load_truth(recording, 0, frame)) == 2
+    # the folder `truth` has precedence, and a changed file is read again
+    for boxes in (BOX, [BOX, BOX]):
+        put(wall / "truth/boxes.json", {"a": boxes})
+        assert [truth.label for truth in load_truth(recording, 0, frame)] == ["wall"] * (1 + (boxes is not BOX))
 
 
 def test_tracking_labels_have_the_transform_of_each_frame(wall: Path) -> None:

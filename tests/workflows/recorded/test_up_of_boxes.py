@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rgbd_samples
+from rgbd_samples import write_rgbd
 from scipy.spatial.transform import Rotation
 
 from annotator.project import BoxRotation, NewLabel, Project, ProjectSettings, WriteContext, create_project
@@ -31,16 +33,8 @@ def wall(made_once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
     """A recording whose frames do not tell which way is up: a wall in front of the camera."""
 
     def fill(made: Path) -> None:
-        import cv2
-
-        folder = made / "wall"
-        for name in ("color", "depth"):
-            (folder / name).mkdir(parents=True)
-        for number in range(FRAMES):
-            cv2.imwrite(str(folder / f"color/{number:06d}.jpg"), np.full((60, 80, 3), 90, np.uint8))
-            cv2.imwrite(str(folder / f"depth/{number:06d}.png"), np.full((60, 80), 2000, np.uint16))
-        text = '{"width": 80, "height": 60, "intrinsic_matrix": [70, 0, 0, 0, 70, 0, 39.5, 29.5, 1]}'
-        (folder / "camera_intrinsic.json").write_text(text)
+        frames = rgbd_samples.wall(FRAMES, 60, 80, 2000)
+        write_rgbd(made / "wall", frames, intrinsic_matrix=[70, 0, 0, 0, 70, 0, 39.5, 29.5, 1])
 
     return made_once("wall", fill) / "wall"
 

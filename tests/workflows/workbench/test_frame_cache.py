@@ -79,7 +79,7 @@ def test_a_frame_is_read_once_the_next_ahead_and_as_many_kept_as_memory_allows(
     assert reads == ["000000", "000001"]
     cache.close()
     assert cache.read(people, ids[4]).key == "000004", "after the end frames are still read, but not ahead"
-    small = FrameCache(1, kept_bytes=2 * OpenFrame(found[0]).memory_bytes)
+    small = FrameCache(1, kept_bytes=5 * OpenFrame(found[0]).memory_bytes // 2)
     small.close()
     reads.clear()
     for index in (0, 1, 0, 1, 2, 0):

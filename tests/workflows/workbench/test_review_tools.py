@@ -49,12 +49,12 @@ from annotator.workflows.workbench.save_object import copy_boxes
 
 @pytest.fixture(scope="module")
 def opened(generated: Path) -> OpenFrame:
-    return OpenFrame(open_recording(generated / "people").frame(0))
+    return OpenFrame(open_recording(generated / "people").frame(2))
 
 
 @pytest.fixture(scope="module")
 def truths(generated: Path, opened: OpenFrame) -> list[Truth]:
-    return list(load_truth(open_recording(generated / "people"), 0, opened.frame))
+    return list(load_truth(open_recording(generated / "people"), 2, opened.frame))
 
 
 # What is on the right, above and nearest in each view: an axis of the box (length, width, height), and its end. The
