@@ -103,20 +103,8 @@ class ArgoverseLog(Scanned, RigCamera):
         xyz_m = T_camera_ego.apply(raw.xyz_m)
         cloud = visible_cloud(sweep, camera, xyz_m, raw, picture.rgb, f"check {MOUNTS} and {POSES}")
         up = T_city_camera.rotation.inv().apply(UP)
-        time_ns = int(self.images[i])
-        return Frame(
-            key,
-            i,
-            camera,
-            picture.rgb,
-            cloud,
-            None,
-            up,
-            T_camera_ego,
-            time_ns,
-            T_world_camera=T_city_camera,
-            exif_orientation=picture.exif_orientation,
-        )
+        moment = {"timestamp_ns": int(self.images[i]), "T_world_camera": T_city_camera}
+        return picture.frame(key, i, camera, cloud, up=up, T_camera_label=T_camera_ego, **moment)
 
     def scan(self, i: int) -> Scan:
         """Reads the whole sweep of frame `i`."""

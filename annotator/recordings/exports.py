@@ -95,10 +95,8 @@ class ExportFolder(Recording):
             raise FrameError(cloud, f"is none of {' '.join(CLOUD_SUFFIXES)}", REMEDY)
         raw = read_cloud(cloud)
         points = PointCloud(raw.xyz_m.astype(np.float32), rgb=raw.rgb, reflectance=raw.reflectance)
-        orientation = picture.exif_orientation
-        return Frame(
-            key, i, camera, picture.rgb, points, None, up, None, timestamp_ns, None, T_world_camera, orientation
-        )
+        moment = {"timestamp_ns": timestamp_ns, "T_world_camera": T_world_camera}
+        return picture.frame(key, i, camera, points, up=up, **moment)
 
 
 Vector = tuple[Number, Number, Number]

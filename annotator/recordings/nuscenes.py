@@ -278,19 +278,9 @@ class NuScenes(Scanned, RigCamera, Scenes):
         xyz_m = (T_camera_global * T_global_lidar).apply(points.xyz_m)
         cloud = visible_cloud(scan_file, camera, xyz_m, points, rgb, "check the poses in the tables")
         up = T_camera_global.rotation.apply(GLOBAL_UP)
-        return Frame(
-            key,
-            i,
-            camera,
-            rgb,
-            cloud,
-            None,
-            up,
-            T_camera_global,
-            image.time_us * 1000,
-            T_world_camera=T_camera_global.inv() if _knows_world(image) else None,
-            exif_orientation=picture.exif_orientation,
-        )
+        world = T_camera_global.inv() if _knows_world(image) else None
+        moment = {"timestamp_ns": image.time_us * 1000, "T_world_camera": world}
+        return picture.frame(key, i, camera, cloud, up=up, T_camera_label=T_camera_global, **moment)
 
     def scan(self, i: int) -> Scan:
         """Reads the whole scan of frame `i`; ahead is where the camera looks; without one, where the vehicle does."""

@@ -123,17 +123,7 @@ class TumRgbd(Recording):
             camera = read_camera(camera.path, UNITS_PER_M)
         image, cloud, depth_m = read_images(self.path, color, depth, camera)
         up = None if self.poses is None else self.poses.up(self.times_ns[i], self.tolerance_ns)
-        return Frame(
-            key,
-            i,
-            camera.camera,
-            image.rgb,
-            cloud,
-            depth_m,
-            up=up,
-            timestamp_ns=self.times_ns[i],
-            exif_orientation=image.exif_orientation,
-        )
+        return image.frame(key, i, camera.camera, cloud, depth_m=depth_m, up=up, timestamp_ns=self.times_ns[i])
 
     def _file(self, name: str) -> Path:
         """Returns the path of a listed file, which must lie in the folder, or in one that is linked into it."""
