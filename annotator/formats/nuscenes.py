@@ -40,7 +40,7 @@ from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float32
-from pydantic import AliasChoices, Field, ValidationError
+from pydantic import AliasChoices, Field
 from pydantic_core import to_json
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -66,7 +66,6 @@ from annotator.nuscenes_tables import (
     Record,
     SampleData,
     Sensor,
-    TableError,
     Token,
     find_rows,
     pose,
@@ -77,7 +76,6 @@ from annotator.types import Camera, Label, OrientedBox, PointCloud, Truth
 from annotator.types.bases import FileRecord
 from annotator.types.errors import FormatError
 from annotator.types.label import AttributeValue
-from annotator.types.messages import first_problem
 
 Vector3 = reading.Bounded3
 Quaternion = reading.Bounded4
@@ -208,10 +206,8 @@ def _camera_images(folder: Path) -> Iterator[tuple[str, SampleData, CalibratedSe
         if _linked(file, row, sensors, "sensor", camera.sensor_token).modality != "camera":
             continue
         place = _linked(file, row, places, "ego_pose", row.ego_pose_token)
-        try:
+        with reading.faults(file, f"row {row.token}: a pose of its camera: "):
             T_global_camera = pose(place.translation, place.rotation) * pose(camera.translation, camera.rotation)
-        except ValueError as error:
-            raise FormatError(file, f"row {row.token}: a pose of its camera: {error}") from error
         yield normal(stem_of(row.filename)), row, camera, T_global_camera
 
 
@@ -317,12 +313,8 @@ def _rows_if_any(path: Path, model: type[Row]) -> list[Row]:
 
 def _rows(path: Path, model: type[Row], samples: Set[str] | None = None) -> list[Row]:
     """Returns the rows of a table; with `samples`, those of these samples."""
-    try:
+    with reading.faults(path):
         return list(read_rows(path, model) if samples is None else find_rows(path, model, "sample_token", samples))
-    except OSError as error:
-        raise FormatError(path, f"cannot be read ({error.strerror})") from error
-    except TableError as error:
-        raise FormatError(path, str(error)) from error
 
 
 RESULTS = "results"
@@ -360,14 +352,10 @@ def read_results(path: Path) -> Iterator[tuple[str, list[Truth]]]:
 
 
 def _truth(path: Path, where: str, value: object, tracks: dict[str | int, int], quaternions: Quaternions) -> Truth:
-    try:
+    with reading.faults(path, f"{where}: "):
         row = ResultBox.model_validate(value)
         box = box_from(row.translation, row.rotation, row.size)
         quaternions.add(row.rotation)
-    except ValidationError as error:
-        raise FormatError(path, first_problem(error, where)) from error
-    except ValueError as error:
-        raise FormatError(path, f"{where}: {error}") from error
     track = None if row.tracking_id is None else tracks.setdefault(row.tracking_id, len(tracks))
     attributes = from_dotted([row.attribute_name] if row.attribute_name else [])
     return Truth(row.label, box, track, row.score, attributes=attributes)

@@ -21,7 +21,7 @@ from annotator.formats.frame_names import LabelledFrame
 from annotator.formats.kitti_folders import label_place, read_kitti_folder
 from annotator.formats.kitti_rows import KittiLabel, kitti_row
 from annotator.formats.rcv import MANIFEST, labelled_frames
-from annotator.formats.reading import holds_texts
+from annotator.formats.reading import faults, holds_texts
 from annotator.project import REVIEWED, Project, StoredFrame
 from annotator.text import normal
 from annotator.types import Label, OrientedBox, ReviewState, Source, Truth
@@ -94,10 +94,8 @@ class Options:
 
 def read_frame_names(path: Path) -> list[str]:
     """Reads frame names from a file with one name per line, such as KITTI's `ImageSets/val.txt`."""
-    try:
+    with faults(path):
         lines = read_text_file(path, TABLE_BYTES).split("\n")
-    except (OSError, UnicodeDecodeError) as error:
-        raise FormatError(path, f"the list of frames cannot be read ({error})") from error
     names = [normal(line.strip()) for line in lines if line.strip()]
     if not names:
         raise FormatError(path, "contains no frame name")
