@@ -300,7 +300,7 @@ class _Source:
         if self._options.against is Against.REVIEWED:
             return measured, rows_of_truth(((label, box) for label, box, _ in self._true(stored)), frame)
         recording = self._frames.recording(stored.recording_id)
-        return measured, true_kitti_rows(recording, recording.keys.index(stored.key), frame)
+        return measured, true_kitti_rows(recording, recording.indices[stored.key], frame)
 
     def _with_truth(self) -> tuple[int, ...]:
         """Returns the chosen recordings, which must all have truth; without a choice, all that have truth."""
@@ -339,7 +339,7 @@ class _Source:
         if self._options.against is Against.REVIEWED:
             return list(map(_scored_box, self._labels(stored, REVIEWED)))
         recording = self._frames.recording(stored.recording_id)
-        truths = load_truth(recording, recording.keys.index(stored.key), self._frames.read(stored))
+        truths = load_truth(recording, recording.indices[stored.key], self._frames.read(stored))
         return [(truth.label, truth.box, DEFAULT_SCORE) for truth in truths]
 
     def _labels(self, stored: StoredFrame, states: Collection[ReviewState]) -> list[Label]:

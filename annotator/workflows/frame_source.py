@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -30,16 +30,11 @@ class OpenedRecording:
         recording: the recording.
         up: unit vector against gravity in the (corrected) camera frame, if the project sets one.
         correction: of the calibration.
-        indices: index in the recording, by key.
     """
 
     recording: Recording
     up: tuple[float, float, float] | None
     correction: Correction = NO_CORRECTION
-    indices: dict[str, int] = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "indices", {key: index for index, key in enumerate(self.recording.keys)})
 
     def read(self, key: str) -> Frame:
         """Reads a frame, with the project's correction of the calibration and its up direction.
@@ -65,11 +60,11 @@ class OpenedRecording:
         Raises:
             FrameError: the frame no longer exists.
         """
-        if key not in self.indices:
+        if key not in self.recording.indices:
             raise FrameError(
                 Path(self.recording.path), f"frame {key} no longer exists", "restore it, or add the folder again"
             )
-        return self.indices[key]
+        return self.recording.indices[key]
 
 
 def open_stored(stored: StoredRecording, project: str) -> OpenedRecording:

@@ -65,9 +65,9 @@ class RecordedLabels(LabelSet):
             self.faults_of_frames = (FrameError, FormatError)
         # each labelled frame with its place in its recording
         self._stored: dict[str, tuple[StoredFrame, int]] = {}
-        places = {number: {key: i for i, key in enumerate(each.keys)} for number, each in self._opened.items()}
         for stored in project.frames.of(sorted(self._opened)):
-            recording, index = self._opened[stored.recording_id], places[stored.recording_id].get(stored.key)
+            recording = self._opened[stored.recording_id]
+            index = recording.indices.get(stored.key)
             if stored.index is None or index is None or not is_labelled(recording, stored.key):
                 continue
             file = label_file(recording, stored.key) if with_files else None
