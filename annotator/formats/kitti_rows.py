@@ -30,7 +30,7 @@ from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.frame_names import NO_VALUES, OCCLUSION, TRUNCATION, Values, held_by_kitti, of_kitti
-from annotator.formats.reading import Angles, OnFault, faults, finite_number, raise_fault, text_rows
+from annotator.formats.reading import Angles, OnFault, faults, finite_number, raise_fault, reported, text_rows
 from annotator.geometry.oriented_box import EDGES, box_corners, nearest_upright
 from annotator.geometry.outline import Sight, cut_segments
 from annotator.geometry.projection import project
@@ -160,10 +160,8 @@ def read_rows(
         tracking: rows begin with frame number and track id.
     """
     for line, fields in text_rows(path, text):
-        try:
+        with reported(on_fault):
             yield parse_row(fields, path, line, tracking=tracking)
-        except FormatError as fault:
-            on_fault(fault)
 
 
 def parse_row(fields: list[str], path: Path, line: int, *, tracking: bool = False) -> KittiLabel:

@@ -168,14 +168,12 @@ def read_nuscenes(path: Path, on_fault: reading.OnFault = reading.raise_fault) -
     for stem, row, camera, T_global_camera in _camera_images(folder):
         T_camera_global, K, found = T_global_camera.inv(), np.array(camera.camera_intrinsic), list[Truth]()
         for truth in boxes.get(row.sample_token, ()):
-            try:
+            what = f"a box of the sample {row.sample_token}: "
+            with reading.reported(on_fault), reading.faults(folder / ANNOTATIONS, what):
                 box = truth.box.transformed(T_camera_global)
-            except ValueError as error:
-                on_fault(FormatError(folder / ANNOTATIONS, f"a box of the sample {row.sample_token}: {error}"))
-                continue
-            # an export has one camera, which has all boxes
-            if names.frames or (len(K) and is_seen(box, K, row.width, row.height)):
-                found.append(replace(truth, box=box))
+                # an export has one camera, which has all boxes
+                if names.frames or (len(K) and is_seen(box, K, row.width, row.height)):
+                    found.append(replace(truth, box=box))
         # without map coordinates, the camera is the origin
         is_placed = stem in names.frames and T_global_camera.translation.any()
         pose = in_world(T_global_camera) if is_placed else None
@@ -237,14 +235,11 @@ def _boxes(tables: Path, annotations: Sequence[SampleAnnotation], on_fault: read
         instance = _linked(tables / ANNOTATIONS, row, instances, "instance", row.instance_token)
         file, category = tables / "instance.json", instance.category_token
         label = _linked(file, instance, categories, "category", category).name
-        try:
-            box = box_from(row.translation, row.rotation, row.size)
-        except ValueError as error:
-            on_fault(FormatError(tables / ANNOTATIONS, f"row {row.token}: {error}"))
-            continue
         values = values_of(row, instance, names, levels)
         track = track_of(instance, numbers[instance.token])
-        boxes.setdefault(row.sample_token, []).append(Truth(label, box, track, attributes=values))
+        with reading.reported(on_fault), reading.faults(tables / ANNOTATIONS, f"row {row.token}: "):
+            box = box_from(row.translation, row.rotation, row.size)
+            boxes.setdefault(row.sample_token, []).append(Truth(label, box, track, attributes=values))
     return boxes
 
 

@@ -154,6 +154,15 @@ def raise_fault(fault: FormatError) -> None:
 
 
 @contextmanager
+def reported(on_fault: OnFault) -> Iterator[None]:
+    """Tells `on_fault` of a FormatError within the block, the rest of which is skipped."""
+    try:
+        yield
+    except FormatError as fault:
+        on_fault(fault)
+
+
+@contextmanager
 def faults(path: Path, what: str = "", line: int | None = None, remedy: str = "") -> Iterator[None]:
     """Turns what is wrong with a file (OSError, ValueError) into a FormatError that names it.
 
