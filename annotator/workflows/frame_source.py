@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from annotator.project import BoxRotation, Project, StoredFrame, StoredRecording
 from annotator.project.recordings import SharedCloud
 from annotator.rcv.config import Orientation
 from annotator.recordings import Recording, open_recording, stored_options
-from annotator.recordings.frame_times import Clock
+from annotator.recordings.frame_times import image_at
 from annotator.recordings.look_around import RigCamera
 from annotator.types import NO_CORRECTION, Correction, Frame, Label
 from annotator.types.errors import FrameError, RecordingError
@@ -45,14 +44,10 @@ class OpenedRecording:
         index = self.index(key)
         frame = self.recording.frame(index)
         if self.correction.time_offset_s:
-            shown = self._clock.image_at(index, self.correction.time_offset_s)
+            shown = image_at(self.recording, index, self.correction.time_offset_s)
             frame = frame if shown == index else with_image(frame, self.recording.frame(shown).rgb)
         frame = corrected(frame, self.correction)
         return frame if self.up is None else replace(frame, up=np.asarray(self.up, np.float64))
-
-    @cached_property
-    def _clock(self) -> Clock:
-        return Clock(self.recording)
 
     def index(self, key: str) -> int:
         """The frame's index in the recording.
