@@ -72,7 +72,7 @@ def test_other_recordings_have_their_own_camera_and_no_known_gravity(tmp_path: P
 
 
 DAMAGES = [
-    pytest.param(replaced("rgb.txt", f"{START_S}.0", "x"), r"rgb\.txt:4: must begin with a time", id="time"),
+    pytest.param(replaced("rgb.txt", f"{START_S}.0", "x"), r"rgb\.txt:4: 'x.*' is no time in seconds", id="time"),
     pytest.param(replaced("depth.txt", ".png", ".exr"), r"depth\.txt:4: must be a time and a PNG", id="suffix"),
     pytest.param(replaced("rgb.txt", " rgb/", " ../../rgb/"), "leads out of the folder", id="outside"),
     pytest.param(replaced("rgb.txt", " rgb/", " rgb/x"), "cannot be read", id="no-file"),
