@@ -197,8 +197,10 @@ def finite_number(text: str, path: Path, line: int | None, name: str = "") -> fl
         name: the field's name, for the error message.
     """
     where = f"{name}: " if name else ""
-    with faults(path, where, line):
+    try:  # of every number of a file, so without the time of `faults`
         value = to_number(text)
+    except ValueError as error:
+        raise FormatError(path, f"{where}{error}", line) from None
     if not math.isfinite(value):
         raise FormatError(path, f"{where}{text[:SHOWN]!r} is not a finite number", line)
     return value

@@ -91,7 +91,7 @@ def parse_boxes(
         with reported(on_fault):
             box = _box(path, line, row.split(), names)
             if box in boxes:
-                on_fault(FormatError(path, f"the same box as in line {boxes[box]}; keep one of them", line))
+                raise FormatError(path, f"the same box as in line {boxes[box]}; keep one of them", line)
             boxes[box] = line
     return tuple(boxes)
 
