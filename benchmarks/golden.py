@@ -30,7 +30,6 @@ from annotator.evaluation.kitti import (
     RELAXED,
     KittiResult,
     Metric,
-    MinOverlap,
     evaluate_kitti,
 )
 from annotator.formats.box_files import read_upright_boxes
@@ -155,7 +154,7 @@ SUNRGBD, SUNRGBD_TRUTH, SUNRGBD_FOUND = "expected_sunrgbd.csv", "sunrgbd_gt.csv"
 PAIRS, CONVENTIONS = "iou3d_pairs.csv", "kitti_conventions.json"
 
 # The official devkit, and the devkit with looser overlap thresholds. Rows of other evaluators are ignored.
-EVALUATORS: Mapping[str, MinOverlap] = {"devkit": OFFICIAL, "devkit_relaxed": RELAXED}
+EVALUATORS: Mapping[str, Mapping[str, float]] = {"devkit": OFFICIAL, "devkit_relaxed": RELAXED}
 METRICS = {"2d": Metric.BBOX, "bev": Metric.BEV, "3d": Metric.BOX_3D, "aos": Metric.AOS}
 # Boxes whose intersection is below this share of the smaller box only touch.
 CONTACT = 1e-12

@@ -24,7 +24,7 @@ from annotator.recordings import Recording
 from annotator.synthetic import write_generated
 from annotator.types import Box2D, BoxKind, Frame, Label, OrientedBox, Proposal, Truth
 from annotator.types.errors import ArgumentError
-from annotator.workflows.evaluate import DEFAULT_SCORE, Options, Protocol, ScoredBox, box_table
+from annotator.workflows.evaluate import Options, Protocol, box_table, scored_box
 from annotator.workflows.evaluate import evaluate_files as evaluate_protocol
 from annotator.workflows.importing import readers
 from annotator.workflows.importing.label_set import LabelSet
@@ -87,12 +87,8 @@ def evaluate(found: Boxes, truth: Boxes) -> Report:
         raise ArgumentError("truth has no box to evaluate against")
     if not set(found) & set(truth):
         raise ArgumentError(f"no frame in common: found has {list(found)[:3]}, truth has {list(truth)[:3]}")
-    columns = [box_table([list(map(_scored_box, side.get(key, ()))) for key in truth]) for side in (found, truth)]
+    columns = [box_table([list(map(scored_box, side.get(key, ()))) for key in truth]) for side in (found, truth)]
     return oriented_report(evaluate_oriented(columns[0], columns[1]))
-
-
-def _scored_box(each: Truth | Label | Proposal) -> ScoredBox:
-    return each.label, each.box, DEFAULT_SCORE if each.score is None else each.score
 
 
 def evaluate_files(

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from tyro.conf import arg
 
 from annotator.cli.options import AsJson, names_in
-from annotator.cli.output import facts, print_line, print_result
+from annotator.cli.output import facts, print_line, print_lines, print_result
 from annotator.project import Project, ProjectConfig
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import (
@@ -92,9 +92,7 @@ def order_attributes(project: Project, names: tuple[str, ...], /) -> None:
     def ordered(config: ProjectConfig) -> ClassEdit:
         return edit.order_attributes(config, names_in(names, [each.name for each in config.attributes]))
 
-    config = _change(project, ordered, show_classes=False)
-    for each in config.attributes:
-        print_line(_attribute_line(each))
+    _change(project, ordered, attributes=[each.name for each in project.config.attributes])
 
 
 def rename(project: Project, old: str, new: str, /) -> None:
@@ -209,8 +207,7 @@ def attribute(
             raise ConfigError(f"--default: {error}") from error
         return edit.put_attribute(config, made, drop=drop)
 
-    config = _change(project, put, show_classes=False)
-    print_line(_attribute_line(edit.find_attribute(config, name)))
+    _change(project, put, attributes=[name])
 
 
 def remove_attribute(project: Project, name: str, /) -> None:
@@ -220,7 +217,7 @@ def remove_attribute(project: Project, name: str, /) -> None:
         name: name of the attribute.
     """
     number = sum(project.value_counts().get(name, {}).values())
-    _change(project, lambda config: edit.remove_attribute(config, name), show_classes=False)
+    _change(project, lambda config: edit.remove_attribute(config, name), attributes=())
     print_line(f"removed {name} and {amount(number, 'value')} of it")
 
 
@@ -238,8 +235,7 @@ def rename_attribute(project: Project, old: str, new: str, /) -> None:
             return edit.rename_choice(config, name, choice, new)
         return edit.rename_attribute(config, old, new)
 
-    config = _change(project, renamed, show_classes=False)
-    print_line(_attribute_line(edit.find_attribute(config, name if is_choice else new)))
+    _change(project, renamed, attributes=[name if is_choice else new])
 
 
 def _change(
@@ -247,16 +243,16 @@ def _change(
     change: Callable[[ProjectConfig], ClassEdit],
     *followed: str,
     verb: str = "relabelled",
-    show_classes: bool = True,
-) -> ProjectConfig:
-    """Changes a project; prints how many boxes of the classes `followed` were concerned, and the classes."""
+    attributes: Collection[str] | None = None,
+) -> None:
+    """Changes a project; prints how many boxes of the classes `followed` were concerned, and the classes, or these
+    attributes."""
     before = project.class_counts()
     config = project.change_classes(change, AUTHOR)
-    for line in _followed(before, followed, verb):
-        print_line(line)
-    if show_classes:
+    print_lines(_followed(before, followed, verb))
+    if attributes is None:
         print_line(f"{config.name}: {', '.join(config.classes)}")
-    return config
+    print_lines(_attribute_line(each) for each in config.attributes if each.name in (attributes or ()))
 
 
 def _followed(before: dict[str, ClassCounts], names: tuple[str, ...], verb: str) -> Iterator[str]:

@@ -188,20 +188,9 @@ class Metric(StrEnum):
     AOS = "aos"
 
 
-@dataclass(frozen=True)
-class MinOverlap:
-    """The IoU that a detection must exceed, by class: on the image (AOS too), in bird's-eye view, in 3D."""
-
-    bbox: Mapping[str, float]
-    bev: Mapping[str, float]
-    box_3d: Mapping[str, float]
-
-
-_STRICT = {"Car": 0.7, "Pedestrian": 0.5, "Cyclist": 0.5}
-_LOOSE = {"Car": 0.5, "Pedestrian": 0.25, "Cyclist": 0.25}
-OFFICIAL = MinOverlap(_STRICT, _STRICT, _STRICT)
-# Also often reported, e.g. by second.pytorch; the thresholds on the image are the official ones.
-RELAXED = MinOverlap(_STRICT, _LOOSE, _LOOSE)
+# The IoU that a detection must exceed, by class. The relaxed ones are also often reported, e.g. by second.pytorch.
+OFFICIAL = {"Car": 0.7, "Pedestrian": 0.5, "Cyclist": 0.5}
+RELAXED = {"Car": 0.5, "Pedestrian": 0.25, "Cyclist": 0.25}
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +232,7 @@ class KittiResult:
     curves: Mapping[str, Mapping[Metric, tuple[KittiCurve, KittiCurve, KittiCurve]]]
 
 
-def evaluate_kitti(detections: KittiRows, truth: KittiRows, min_overlap: MinOverlap = OFFICIAL) -> KittiResult:
+def evaluate_kitti(detections: KittiRows, truth: KittiRows, in_space: Mapping[str, float] = OFFICIAL) -> KittiResult:
     """Evaluates the detections of all frames (devkit: `main`, `eval_class`).
 
     Detections in frames without true rows count as false positives.
@@ -252,11 +241,12 @@ def evaluate_kitti(detections: KittiRows, truth: KittiRows, min_overlap: MinOver
         detections: with scores. Detections without a real 2D box are ignored in all metrics, because KITTI uses the
             height of the 2D box to ignore small objects.
         truth: labels, DontCare areas included.
+        in_space: the IoU that a detection must exceed in bird's-eye view and in 3D; on the image, it is `OFFICIAL`.
     """
     metrics = {
-        Metric.BBOX: (_iou_2d, min_overlap.bbox, detections.edges[:, 0] >= 0),
-        Metric.BEV: (_iou_bev, min_overlap.bev, detections.bottom[:, 0] != NO_PLACE_M),
-        Metric.BOX_3D: (_iou_3d, min_overlap.box_3d, detections.bottom[:, 1] != NO_PLACE_M),
+        Metric.BBOX: (_iou_2d, OFFICIAL, detections.edges[:, 0] >= 0),
+        Metric.BEV: (_iou_bev, in_space, detections.bottom[:, 0] != NO_PLACE_M),
+        Metric.BOX_3D: (_iou_3d, in_space, detections.bottom[:, 1] != NO_PLACE_M),
     }
     oriented = bool((detections.alpha != NO_ALPHA).all())
     covered = covered_share(detections, truth.take(truth.is_of(DONT_CARE)))

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.fence import FenceError
 from annotator.fenced_files import Kind, read_feather
+from annotator.formats.reading import faults
 from annotator.geometry.transforms import Quaternions
 from annotator.types import OrientedBox, Truth
 from annotator.types.errors import FormatError
@@ -33,12 +33,8 @@ def read_argoverse(path: Path) -> dict[int, list[Truth]]:
     Raises:
         MissingExtraError: pyarrow is not installed.
     """
-    try:
+    with faults(path):
         table = read_feather(path, COLUMNS)
-    except OSError as error:
-        raise FormatError(path, f"cannot be read ({error.strerror})") from error
-    except FenceError as error:
-        raise FormatError(path, str(error)) from error
     rows = np.stack([table[name] for name in NUMBERS], axis=1)
     quaternions = Quaternions()
     quaternions.add(rows[:, 3:7].ravel().tolist())
@@ -53,9 +49,7 @@ def read_argoverse(path: Path) -> dict[int, list[Truth]]:
     texts = zip(*(table[name].tolist() for name in ("timestamp_ns", "category", "track_uuid")), strict=True)
     for index, (time_ns, label, uuid) in enumerate(texts):
         track = tracks.setdefault(uuid, len(tracks))
-        try:
+        with faults(path, f"row {index}: "):
             box = OrientedBox(poses[index].copy(), rows[index, 7:].copy())
-        except ValueError as error:
-            raise FormatError(path, f"row {index}: {error}") from error
         boxes.setdefault(time_ns, []).append(Truth(label, box, track))
     return boxes

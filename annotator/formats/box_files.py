@@ -27,12 +27,12 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import TABLE_BYTES, open_text_file
 from annotator.formats.frame_names import LabelledFrame
-from annotator.formats.reading import Angles, AngleUnit, BoundedTrack, finite_number, read_object, write_text
+from annotator.formats.reading import Angles, AngleUnit, BoundedTrack, faults, finite_number, read_object, write_text
 from annotator.formats.sunrgbd import upright_frame
 from annotator.geometry.oriented_box import box_corners
 from annotator.text import normal
@@ -40,7 +40,6 @@ from annotator.types import OrientedBox, Truth
 from annotator.types.bases import FileRecord
 from annotator.types.boxes import FARTHEST_M
 from annotator.types.errors import FormatError
-from annotator.types.messages import first_problem
 
 Number = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)]
 Vector = tuple[Number, Number, Number]
@@ -111,11 +110,9 @@ def each_entries(path: Path) -> Iterator[tuple[str, list[object]]]:
 
 def entry_truth(value: object, path: Path, key: str, number: int) -> Truth:
     """Returns the object of one entry; `number` counts the frame's entries from 0."""
-    try:
+    with faults(path, f"{key}.{number}: "):
         entry = BoxEntry.model_validate(value)
-    except ValidationError as error:
-        raise FormatError(path, first_problem(error, key, number)) from error
-    try:
+    with faults(path, f"frame {key}, {entry.label}: "):
         box = OrientedBox.from_parts(np.array(entry.center), np.array(entry.rotation), np.array(entry.size))
         if entry.corners is not None:
             gaps = np.linalg.norm(np.array(entry.corners)[:, None] - box_corners(box), axis=2).min(axis=1)
@@ -124,8 +121,6 @@ def entry_truth(value: object, path: Path, key: str, number: int) -> Truth:
                     f"corners differ by up to {gaps.max():.3f} m from center, size and rotation; write rotation row by "
                     "row and size as full lengths"
                 )
-    except ValueError as error:
-        raise FormatError(path, f"frame {key}, {entry.label}: {error}") from error
     return Truth(entry.label, box, entry.track, entry.score, attributes=entry.attributes)
 
 
@@ -146,14 +141,9 @@ def read_upright_boxes(
         scored: True for detections: the column `score` is required.
     """
     read, images = Angles(angles), dict[str, list[Truth]]()
-    try:
-        with open_text_file(path, TABLE_BYTES, newline="") as file:
-            for image, truth in _rows(path, file, scored, read):
-                images.setdefault(image, []).append(truth)
-    except OSError as error:
-        raise FormatError(path, f"cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise FormatError(path, "is not UTF-8 text; save it as UTF-8") from error
+    with faults(path), open_text_file(path, TABLE_BYTES, newline="") as file:
+        for image, truth in _rows(path, file, scored, read):
+            images.setdefault(image, []).append(truth)
     read.require()
     return {name: LabelledFrame(truths, upright_frame) for name, truths in images.items()}
 
@@ -206,8 +196,6 @@ def _row(path: Path, line: int, head: list[str], fields: list[str], read: Angles
     *places, yaw = (finite_number(values[name], path, line, name) for name in NUMBERS)
     score = finite_number(values[SCORE], path, line, SCORE) if SCORE in values else None
     turn = Rotation.from_rotvec([0.0, 0.0, read.radians(yaw, path, line)])
-    try:
+    with faults(path, line=line):
         box = OrientedBox.at(RigidTransform.from_components(places[:3], turn), np.array(places[3:]))
         return normal(values["image"]), Truth(values["class"], box, score=score)
-    except ValueError as error:
-        raise FormatError(path, str(error), line) from error

@@ -30,7 +30,7 @@ from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
 
 from annotator.formats.dataset_writing import PictureWriter
 from annotator.formats.frame_names import NO_VALUES, PictureLabels, Values, from_dotted
-from annotator.formats.reading import OnFault, known_kind, raise_fault, read_model, write_text
+from annotator.formats.reading import OnFault, known_kind, raise_fault, read_model, reported, write_text
 from annotator.types import Box2D
 from annotator.types.bases import FileRecord
 from annotator.types.errors import FormatError
@@ -113,11 +113,8 @@ def read_coco(path: Path, on_fault: OnFault = raise_fault) -> list[PictureLabels
     _refuse_corners(path, file.annotations, images)
     boxes: dict[int, list[_Found]] = {image.id: [] for image in file.images}
     for annotation in file.annotations:
-        try:
+        with reported(on_fault):
             found = _found(path, annotation, images, names)
-        except FormatError as fault:
-            on_fault(fault)
-        else:
             boxes[annotation.image_id].append(found)
     return [_image(image, boxes[image.id]) for image in file.images]
 

@@ -45,7 +45,7 @@ from annotator.formats.frame_names import (
     six_digit_ids,
 )
 from annotator.formats.kitti_rows import DONT_CARE, dont_care, dump_tracking_line
-from annotator.formats.reading import MOST, Angles, AngleUnit, text_files, text_rows
+from annotator.formats.reading import MOST, Angles, AngleUnit, faults, text_files, text_rows
 from annotator.geometry.outline import Sight
 from annotator.geometry.projection import straightened
 from annotator.image_bytes import encoded_image
@@ -154,10 +154,8 @@ def read_matrices(path: Path, shapes: Mapping[str, tuple[int, int]]) -> dict[str
         if name not in shapes or name in matrices:
             continue
         rows, columns = shapes[name]
-        try:
+        with faults(path, f"{name} needs {rows * columns} numbers: ", line):
             matrix = np.array([to_number(word) for word in words]).reshape(rows, columns)
-        except ValueError as error:
-            raise FormatError(path, f"{name} needs {rows * columns} numbers: {error}", line) from error
         if not (np.abs(matrix) <= MOST).all():
             raise FormatError(path, f"{name} must be finite and at most {MOST:g}", line)
         matrices[name] = matrix

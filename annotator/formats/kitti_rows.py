@@ -30,7 +30,7 @@ from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.frame_names import NO_VALUES, OCCLUSION, TRUNCATION, Values, held_by_kitti, of_kitti
-from annotator.formats.reading import Angles, OnFault, finite_number, raise_fault, text_rows
+from annotator.formats.reading import Angles, OnFault, faults, finite_number, raise_fault, reported, text_rows
 from annotator.geometry.oriented_box import EDGES, box_corners, nearest_upright
 from annotator.geometry.outline import Sight, cut_segments
 from annotator.geometry.projection import project
@@ -160,10 +160,8 @@ def read_rows(
         tracking: rows begin with frame number and track id.
     """
     for line, fields in text_rows(path, text):
-        try:
+        with reported(on_fault):
             yield parse_row(fields, path, line, tracking=tracking)
-        except FormatError as fault:
-            on_fault(fault)
 
 
 def parse_row(fields: list[str], path: Path, line: int, *, tracking: bool = False) -> KittiLabel:
@@ -216,7 +214,7 @@ def row_truth(row: KittiLabel, T: RigidTransform | None, path: Path, angles: Ang
     if (_size_m(row) <= 0).any():
         problem = f"height width length must be positive, not {row.height} {row.width} {row.length}"
         raise FormatError(path, problem, row.line)
-    try:
+    with faults(path, line=row.line):
         box = label_box(replace(row, rotation_y=angles.radians(row.rotation_y, path, row.line)))
         edges, score = (row.left, row.top, row.right, row.bottom), 1.0 if row.score is None else row.score
         has_extent = row.right > row.left and row.bottom > row.top
@@ -224,8 +222,6 @@ def row_truth(row: KittiLabel, T: RigidTransform | None, path: Path, angles: Ang
         values = of_kitti(row.truncated, row.occluded)
         box = box if T is None else box.transformed(T)
         return Truth(row.label, box, row.track, row.score, image_box, attributes=values)
-    except ValueError as error:
-        raise FormatError(path, str(error), row.line) from error
 
 
 OUTSIDE_IMAGE = (0.0, 0.0, 0.0, 0.0)

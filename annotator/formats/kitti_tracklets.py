@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from annotator.files import TABLE_BYTES, read_file
-from annotator.formats.reading import Angles, finite_number
+from annotator.formats.reading import Angles, faults, finite_number
 from annotator.types import OrientedBox, Truth
 from annotator.types.errors import FormatError
 
@@ -95,10 +95,8 @@ def _box(path: Path, where: str, pose: dict[str, str], size_m: np.ndarray, angle
     if tilt > MOST_TILT_RAD:
         raise FormatError(path, f"{where} has rx or ry other than 0; only rz is supported")
     turn = Rotation.from_euler("z", angles.radians(rz, path))
-    try:
+    with faults(path, f"{where}: "):
         return OrientedBox.from_parts(np.array([tx, ty, tz + size_m[2] / 2]), turn.as_matrix(), size_m)
-    except ValueError as error:
-        raise FormatError(path, f"{where}: {error}") from error
 
 
 def _number(path: Path, where: str, values: dict[str, str], name: str, missing: float | None = None) -> float:

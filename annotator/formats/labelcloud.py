@@ -233,10 +233,8 @@ def read_labelcloud_file(file: Path) -> list[Truth]:
 def _truths(file: Path, content: LabelFile, degrees: bool, on_fault: reading.OnFault) -> list[Truth]:
     truths = []
     for number, entry in enumerate(content.objects):
-        try:
+        with reading.reported(on_fault), reading.faults(file, f"objects.{number}: "):
             truths.append(Truth(entry.name, box_of(entry, degrees)))
-        except ValueError as error:
-            on_fault(FormatError(file, f"objects.{number}: {error}"))
     return truths
 
 
@@ -259,10 +257,8 @@ def _read_folder(
 ) -> Iterator[tuple[Path, LabelledFrame]]:
     files: dict[Path, LabelFile] = {}
     for file in _label_files(folder):
-        try:
+        with reading.reported(on_fault):
             files[file] = reading.read_model(file, LabelFile)
-        except FormatError as fault:
-            on_fault(fault)
     degrees = _degrees(folder, files) if angles is None else angles is AngleUnit.DEGREES
     for file, content in files.items():
         objects = _truths(file, content, degrees, on_fault)

@@ -40,7 +40,7 @@ from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float32
-from pydantic import AliasChoices, Field, ValidationError
+from pydantic import AliasChoices, Field
 from pydantic_core import to_json
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -66,7 +66,6 @@ from annotator.nuscenes_tables import (
     Record,
     SampleData,
     Sensor,
-    TableError,
     Token,
     find_rows,
     pose,
@@ -77,7 +76,6 @@ from annotator.types import Camera, Label, OrientedBox, PointCloud, Truth
 from annotator.types.bases import FileRecord
 from annotator.types.errors import FormatError
 from annotator.types.label import AttributeValue
-from annotator.types.messages import first_problem
 
 Vector3 = reading.Bounded3
 Quaternion = reading.Bounded4
@@ -170,14 +168,12 @@ def read_nuscenes(path: Path, on_fault: reading.OnFault = reading.raise_fault) -
     for stem, row, camera, T_global_camera in _camera_images(folder):
         T_camera_global, K, found = T_global_camera.inv(), np.array(camera.camera_intrinsic), list[Truth]()
         for truth in boxes.get(row.sample_token, ()):
-            try:
+            what = f"a box of the sample {row.sample_token}: "
+            with reading.reported(on_fault), reading.faults(folder / ANNOTATIONS, what):
                 box = truth.box.transformed(T_camera_global)
-            except ValueError as error:
-                on_fault(FormatError(folder / ANNOTATIONS, f"a box of the sample {row.sample_token}: {error}"))
-                continue
-            # an export has one camera, which has all boxes
-            if names.frames or (len(K) and is_seen(box, K, row.width, row.height)):
-                found.append(replace(truth, box=box))
+                # an export has one camera, which has all boxes
+                if names.frames or (len(K) and is_seen(box, K, row.width, row.height)):
+                    found.append(replace(truth, box=box))
         # without map coordinates, the camera is the origin
         is_placed = stem in names.frames and T_global_camera.translation.any()
         pose = in_world(T_global_camera) if is_placed else None
@@ -208,10 +204,8 @@ def _camera_images(folder: Path) -> Iterator[tuple[str, SampleData, CalibratedSe
         if _linked(file, row, sensors, "sensor", camera.sensor_token).modality != "camera":
             continue
         place = _linked(file, row, places, "ego_pose", row.ego_pose_token)
-        try:
+        with reading.faults(file, f"row {row.token}: a pose of its camera: "):
             T_global_camera = pose(place.translation, place.rotation) * pose(camera.translation, camera.rotation)
-        except ValueError as error:
-            raise FormatError(file, f"row {row.token}: a pose of its camera: {error}") from error
         yield normal(stem_of(row.filename)), row, camera, T_global_camera
 
 
@@ -241,14 +235,11 @@ def _boxes(tables: Path, annotations: Sequence[SampleAnnotation], on_fault: read
         instance = _linked(tables / ANNOTATIONS, row, instances, "instance", row.instance_token)
         file, category = tables / "instance.json", instance.category_token
         label = _linked(file, instance, categories, "category", category).name
-        try:
-            box = box_from(row.translation, row.rotation, row.size)
-        except ValueError as error:
-            on_fault(FormatError(tables / ANNOTATIONS, f"row {row.token}: {error}"))
-            continue
         values = values_of(row, instance, names, levels)
         track = track_of(instance, numbers[instance.token])
-        boxes.setdefault(row.sample_token, []).append(Truth(label, box, track, attributes=values))
+        with reading.reported(on_fault), reading.faults(tables / ANNOTATIONS, f"row {row.token}: "):
+            box = box_from(row.translation, row.rotation, row.size)
+            boxes.setdefault(row.sample_token, []).append(Truth(label, box, track, attributes=values))
     return boxes
 
 
@@ -317,12 +308,8 @@ def _rows_if_any(path: Path, model: type[Row]) -> list[Row]:
 
 def _rows(path: Path, model: type[Row], samples: Set[str] | None = None) -> list[Row]:
     """Returns the rows of a table; with `samples`, those of these samples."""
-    try:
+    with reading.faults(path):
         return list(read_rows(path, model) if samples is None else find_rows(path, model, "sample_token", samples))
-    except OSError as error:
-        raise FormatError(path, f"cannot be read ({error.strerror})") from error
-    except TableError as error:
-        raise FormatError(path, str(error)) from error
 
 
 RESULTS = "results"
@@ -360,14 +347,10 @@ def read_results(path: Path) -> Iterator[tuple[str, list[Truth]]]:
 
 
 def _truth(path: Path, where: str, value: object, tracks: dict[str | int, int], quaternions: Quaternions) -> Truth:
-    try:
+    with reading.faults(path, f"{where}: "):
         row = ResultBox.model_validate(value)
         box = box_from(row.translation, row.rotation, row.size)
         quaternions.add(row.rotation)
-    except ValidationError as error:
-        raise FormatError(path, first_problem(error, where)) from error
-    except ValueError as error:
-        raise FormatError(path, f"{where}: {error}") from error
     track = None if row.tracking_id is None else tracks.setdefault(row.tracking_id, len(tracks))
     attributes = from_dotted([row.attribute_name] if row.attribute_name else [])
     return Truth(row.label, box, track, row.score, attributes=attributes)

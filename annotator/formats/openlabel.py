@@ -28,7 +28,7 @@ from annotator.files import open_file
 from annotator.formats import openlabel_document as doc
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, ply
 from annotator.formats.frame_names import DatasetNames, LabelledFrame, add_once, has_frames, in_world, of_recording
-from annotator.formats.reading import Angles, AngleUnit, known_kind, read_model, unique_keys
+from annotator.formats.reading import Angles, AngleUnit, faults, known_kind, read_model, unique_keys
 from annotator.geometry.transforms import Quaternions
 from annotator.text import normal, stem_of
 from annotator.types import BoxKind, Label, ReviewState, Truth
@@ -308,10 +308,8 @@ class _Reader:
         """Yields the names and frames, once for each of the cameras."""
         for number, frame in (self._content.frames or {}).items():
             properties = frame.frame_properties or doc.FrameProperties()
-            try:
+            with faults(self._path, f"openlabel.frames.{number}: "):
                 coordinates = doc.Coordinates(self._content.coordinate_systems or {}, properties.transforms)
-            except ValueError as error:
-                raise FormatError(self._path, f"openlabel.frames.{number}: {error}") from error
             boxes = list(self._boxes(int(number), frame))
             contexts = (frame.contexts or {}).values()
             values = {key: value for each in contexts for key, value in doc.values_of(each.context_data).items()}
@@ -357,11 +355,9 @@ class _Reader:
         elif not self._sensors.get(system):
             self._quaternions.add(val[3:7])
         score, state, kind = (values.get(name) for name in ("score", "state", "box_kind"))
-        try:
+        with faults(self._path, f"{place}: "):
             box, track_id = doc.box_from(val), _track(values.get("track_id"), uid)
             said = doc.said_from(str(values[doc.SAID_BY])) if doc.SAID_BY in values else ()
-        except ValueError as error:
-            raise FormatError(self._path, f"{place}: {error}") from error
         score, box_kind = score if isinstance(score, float) else None, known_kind(kind) or BoxKind.BOX
         truth = Truth(each.type, box, track_id, score, None, box_kind, doc.values_of(cuboid.attributes), said)
         return _Box(place, system, truth, ReviewState(state) if state in set(ReviewState) else None)
@@ -369,12 +365,10 @@ class _Reader:
     def _in_sensor(self, box: _Box, coordinates: doc.Coordinates, sensor: str) -> Truth:
         if box.system == sensor:
             return box.truth
-        try:
+        with faults(self._path, f"{box.place}: "):
             T = coordinates.transform(sensor, box.system)
             said = tuple(each.transformed(T) for each in box.truth.said)
             return replace(box.truth, box=box.truth.box.transformed(T), said=said)
-        except ValueError as error:
-            raise FormatError(self._path, f"{box.place}: {error}") from error
 
 
 def _track(attribute: AttributeValue | None, uid: str) -> int | None:

@@ -21,7 +21,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, Detector, ply
 from annotator.formats.frame_names import LabelledFrame, in_world
-from annotator.formats.reading import BoundedTrack, SaidRecord, read_model
+from annotator.formats.reading import BoundedTrack, SaidRecord, faults, read_model
 from annotator.geometry.transforms import corners_4x8
 from annotator.image_bytes import JPEG_QUALITY
 from annotator.text import NAME_SHOWN, OutsideError, inside, spelled
@@ -388,15 +388,11 @@ class RcvDataset:
         """Returns the name `RECORDING/KEY` of frame `i`, its labels, its attributes and `T_world_camera`."""
         path, record = self._record(i)
         labels = []
-        try:
+        with faults(path, "world: "):
             pose = None if record.world is None else _transform(record.world.translation, record.world.quaternion)
-        except ValueError as error:
-            raise FormatError(path, f"world: {error}") from error
         for number, entry in enumerate(record.objects):
-            try:
+            with faults(path, f"objects.{number}: "):
                 labels.append(label_from(entry))
-            except ValueError as error:
-                raise FormatError(path, f"objects.{number}: {error}") from error
         return f"{record.recording}/{record.key}", tuple(labels), record.attributes, pose
 
     def place(self, i: int) -> tuple[str, int]:

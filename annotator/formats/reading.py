@@ -13,7 +13,7 @@ import re
 import zipfile
 from array import array
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from enum import StrEnum
 from pathlib import Path, PurePath, PurePosixPath
 from typing import Annotated, TypeVar
@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 from annotator.files import ARCHIVE_ERRORS, DOCUMENT_BYTES, check_file, open_archive, open_file, read_file, write_atomic
 from annotator.frame_limits import read_frame_file
 from annotator.image_bytes import decode_image, read_image
-from annotator.text import SHOWN, decoded, normal, to_number
+from annotator.text import SHOWN, NotTextError, decoded, normal, to_number
 from annotator.types import BoxKind, OrientedBox
 from annotator.types.bases import FileRecord
 from annotator.types.errors import FormatError, UnitError, UnitKind
@@ -153,6 +153,38 @@ def raise_fault(fault: FormatError) -> None:
     raise fault
 
 
+@contextmanager
+def reported(on_fault: OnFault) -> Iterator[None]:
+    """Tells `on_fault` of a FormatError within the block, the rest of which is skipped."""
+    try:
+        yield
+    except FormatError as fault:
+        on_fault(fault)
+
+
+@contextmanager
+def faults(path: Path, what: str = "", line: int | None = None, remedy: str = "") -> Iterator[None]:
+    """Turns what is wrong with a file (OSError, ValueError) into a FormatError that names it.
+
+    Args:
+        what: begins the message, such as "row 3: ".
+        remedy: ends it.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise FormatError(path, f"{what}cannot be read ({error.strerror}){remedy}", line) from error
+    except ValidationError as error:
+        place = what.removesuffix(": ")
+        raise FormatError(path, first_problem(error, *([place] if place else [])) + remedy, line) from error
+    except NotTextError as error:
+        raise FormatError(path, f"is {error}") from error
+    except UnicodeDecodeError as error:
+        raise FormatError(path, "is not UTF-8 text; save it as UTF-8") from error
+    except ValueError as error:
+        raise FormatError(path, f"{what}{error}{remedy}", line) from error
+
+
 def known_kind(value: object) -> BoxKind | None:
     """Returns what 2D boxes enclose, as annotator writes it; None for anything else, since other tools do not."""
     return next((kind for kind in BoxKind if kind.value == value), None)
@@ -165,7 +197,7 @@ def finite_number(text: str, path: Path, line: int | None, name: str = "") -> fl
         name: the field's name, for the error message.
     """
     where = f"{name}: " if name else ""
-    try:
+    try:  # of every number of a file, so without the time of `faults`
         value = to_number(text)
     except ValueError as error:
         raise FormatError(path, f"{where}{error}", line) from None
@@ -178,15 +210,9 @@ def read_picture(file: Path) -> tuple[bytes, UInt8[np.ndarray, "h w 3"]]:
     """Returns the bytes of an image file and its pixels: BGR order, rotated according to the EXIF tag."""
     import cv2
 
-    try:
+    with faults(file, remedy="; restore it, or remove its labels"):
         content = read_frame_file(file)
         return content, decode_image(content, cv2.IMREAD_COLOR)
-    except OSError as error:
-        raise FormatError(
-            file, f"the image cannot be read ({error.strerror}); restore it, or remove its labels"
-        ) from error
-    except ValueError as error:
-        raise FormatError(file, f"is not a readable image: {error}; restore it, or remove its labels") from error
 
 
 SUFFIX = ".txt"
@@ -203,10 +229,8 @@ def text_files(path: Path, *within: str) -> Iterator[tuple[str, Path, str]]:
         within: folder names; if an archive has matching files in such folders, only those are read.
     """
     if path.is_dir():
-        try:
+        with faults(path):
             files = [file for file in path.iterdir() if _is_wanted(file)]
-        except OSError as error:
-            raise FormatError(path, f"cannot be read ({error.strerror})") from error
         for key, file in _by_key(path, files, "; give the folder that contains them"):
             yield key, file, read_text(file)
     elif _is_archive(path):
@@ -247,11 +271,8 @@ def _is_wanted(file: PurePath) -> bool:
 
 def read_text(file: Path) -> str:
     """Returns the content of a text file."""
-    try:
-        content = read_file(file)
-    except OSError as error:
-        raise FormatError(file, f"cannot be read ({error.strerror})") from error
-    return _text(file, content)
+    with faults(file):
+        return decoded(read_file(file))
 
 
 def text_rows(file: Path, text: str | None = None) -> list[tuple[int, list[str]]]:
@@ -280,10 +301,8 @@ def _is_archive(path: Path) -> bool:
 def _text(file: Path, content: bytes) -> str:
     if len(content) > DOCUMENT_BYTES:
         raise FormatError(file, f"is longer than {DOCUMENT_BYTES // 2**20} MiB; a label file of one frame is smaller")
-    try:
+    with faults(file):
         return decoded(content)
-    except UnicodeDecodeError as error:
-        raise FormatError(file, f"is {error}") from error
 
 
 SINGLE_OBJECT = 255
@@ -296,12 +315,8 @@ def read_mask(path: Path) -> UInt8[np.ndarray, "h w"]:
     """
     import cv2
 
-    try:
+    with faults(path, "is not a valid mask: ", remedy="; write it again"):
         mask = read_image(path, cv2.IMREAD_UNCHANGED)
-    except OSError as error:
-        raise FormatError(path, f"the mask cannot be read ({error.strerror})") from error
-    except ValueError as error:
-        raise FormatError(path, f"is not a valid mask: {error}; write it again") from error
     if mask.ndim != 2 or mask.dtype != np.uint8:
         raise FormatError(path, "a mask must be an 8-bit image with one channel of object numbers")
     if np.isin(mask, (0, SINGLE_OBJECT)).all():
@@ -355,15 +370,12 @@ def read_json(path: Path, pairs_hook: PairsHook | None = None) -> object:
     Args:
         pairs_hook: builds an object from its pairs, such as `unique_keys`; a KeyError from it names a repeated key.
     """
-    try:
+    with faults(path):
         text = decoded(read_file(path, MAX_BYTES))
+    try:
         content: object = json.loads(text, object_pairs_hook=pairs_hook)
         if SURROGATE.search(text) is not None:
             json.dumps(content, ensure_ascii=False).encode()
-    except OSError as error:
-        raise FormatError(path, f"cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise FormatError(path, f"is {error}") from error
     except UnicodeEncodeError as error:
         shown = f"{error.object[error.start]!a}"
         raise FormatError(path, f"has an unpaired surrogate ({shown}); write the whole character") from error

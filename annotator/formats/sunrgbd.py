@@ -45,13 +45,21 @@ from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float32, Float64
-from pydantic import BeforeValidator, Field, StringConstraints, ValidationError
+from pydantic import BeforeValidator, Field, StringConstraints
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.fenced_files import read_mat
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, Lost
 from annotator.formats.frame_names import ClassWords, DatasetNames, LabelledFrame, six_digit_ids
-from annotator.formats.reading import MAX_BYTES, finite_number, read_model, rotation_problem, text_files, text_rows
+from annotator.formats.reading import (
+    MAX_BYTES,
+    faults,
+    finite_number,
+    read_model,
+    rotation_problem,
+    text_files,
+    text_rows,
+)
 from annotator.geometry.oriented_box import nearest_upright
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import project, straightened
@@ -62,7 +70,6 @@ from annotator.types import Box2D, Camera, Frame, OrientedBox, Truth
 from annotator.types.bases import FileRecord
 from annotator.types.boxes import FARTHEST_M
 from annotator.types.errors import FormatError
-from annotator.types.messages import first_problem
 
 # [X, Z, -Y] of a camera's point [X, Y, Z].
 SWAPPED = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -179,18 +186,12 @@ def read_meta(path: Path) -> dict[str, LabelledFrame]:
     """Returns the frames of a `SUNRGBDMeta*.mat`, by `RECORDING/KEY`, or a scene's path in the data set joined by
     `KEY_SEPARATOR`.
     """
-    try:
+    with faults(path, remedy="; copy the file again"):
         table = read_mat(path, VARIABLE, MAX_BYTES)
-    except ValueError as error:
-        raise FormatError(path, f"{error}; copy the file again") from error
-    except OSError as error:
-        raise FormatError(path, f"cannot be read ({error.strerror})") from error
     frames: dict[str, LabelledFrame] = {}
     for number, each in enumerate(table if isinstance(table, list) else [table], 1):
-        try:
+        with faults(path, f"frame {number}: "):
             content = TableFrame.model_validate(each)
-        except ValidationError as error:
-            raise FormatError(path, first_problem(error, f"frame {number}")) from error
         name, frame = _frame(path, f"frame {number}", content)
         if name in frames:
             raise FormatError(path, f"the frame {name} occurs twice; keep one of its elements")
@@ -231,11 +232,9 @@ def _table_truth(path: Path, where: str, entry: TableObject) -> Truth:
         along = along if along @ facing >= 0 else -along
     left = -across if np.linalg.det(np.stack([along, -across, up])) > 0 else across
     R = _rotation(path, f"{where}, basis", np.stack([along, left, up], axis=1))
-    try:
+    with faults(path, f"{where}: "):
         box = OrientedBox.from_parts(np.array(entry.centroid), R, np.array([length, width, height]))
         return Truth(entry.classname, box)
-    except ValueError as error:
-        raise FormatError(path, f"{where}: {error}") from error
 
 
 def _rotation(path: Path, where: str, R: np.ndarray) -> np.ndarray:
@@ -445,11 +444,9 @@ def _truth(
     if norm == 0:
         raise FormatError(path, f"the orientation of {label!r} has length 0", line)
     x, y = orientation / norm
-    try:
+    with faults(path, f"{label}: ", line):
         box = OrientedBox.from_parts(center_m, np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]]), size_m)
         return Truth(label, box if T_camera_label is None else box.transformed(T_camera_label))
-    except ValueError as error:
-        raise FormatError(path, f"{label}: {error}", line) from error
 
 
 def read_extracted_folder(path: Path, read_pose: Callable[[Path], RigidTransform]) -> dict[str, LabelledFrame]:

@@ -161,13 +161,11 @@ def _truth(entry: _Object, file: Path, track_id: int | None, read: reading.Angle
     psr = entry.psr
     angles = [read.radians(each, file) for each in (psr.rotation.x, psr.rotation.y, psr.rotation.z)]
     center = np.array([psr.position.x, psr.position.y, psr.position.z])
-    try:
+    with reading.faults(file, f"{entry.obj_type}: "):
         box = OrientedBox.at(
             RigidTransform.from_components(center, Rotation.from_euler("XYZ", angles)),
             np.array([psr.scale.x, psr.scale.y, psr.scale.z]),
         )
-    except ValueError as error:
-        raise FormatError(file, f"{entry.obj_type}: {error}") from error
     return Truth(entry.obj_type, box, track_id, attributes=from_joined(entry.obj_attr or ""))
 
 

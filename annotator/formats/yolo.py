@@ -41,7 +41,7 @@ from pydantic import ValidationError
 
 from annotator.formats.dataset_writing import PictureWriter
 from annotator.formats.frame_names import PictureLabels, YoloBox, has_frames
-from annotator.formats.reading import OnFault, known_kind, raise_fault, read_text
+from annotator.formats.reading import OnFault, known_kind, raise_fault, read_text, reported
 from annotator.geometry.outline import shares_of
 from annotator.text import NAME_SHOWN, SHOWN, OutsideError, inside, is_within, posix_path, spelled, to_number
 from annotator.types import Box2D, BoxKind
@@ -88,14 +88,11 @@ def parse_boxes(
     for line, row in enumerate(text.splitlines(), 1):
         if not row.strip():
             continue
-        try:
+        with reported(on_fault):
             box = _box(path, line, row.split(), names)
-        except FormatError as fault:
-            on_fault(fault)
-            continue
-        if box in boxes:
-            on_fault(FormatError(path, f"the same box as in line {boxes[box]}; keep one of them", line))
-        boxes[box] = line
+            if box in boxes:
+                raise FormatError(path, f"the same box as in line {boxes[box]}; keep one of them", line)
+            boxes[box] = line
     return tuple(boxes)
 
 
@@ -421,12 +418,9 @@ def _labels(file_name: str, folder: Path, boxes: tuple[YoloBox, ...]) -> Picture
 
 
 def _boxes(label_file: Path, names: Mapping[int, str], on_fault: OnFault) -> tuple[YoloBox, ...]:
-    try:
-        text = read_text(label_file)
-    except FormatError as fault:
-        on_fault(fault)
-        return ()
-    return parse_boxes(label_file, text, names, on_fault)
+    with reported(on_fault):
+        return parse_boxes(label_file, read_text(label_file), names, on_fault)
+    return ()
 
 
 def _with_classes(folder: Path, on_fault: OnFault) -> list[PictureLabels]:

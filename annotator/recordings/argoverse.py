@@ -29,12 +29,12 @@ from annotator.recordings.frame_times import nearest
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti import visible_cloud
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, require_size, sorted_keys, stems
-from annotator.recordings.look_around import R_CAMERA_LEVEL, RigCamera, Scan, Scanned, level_turn, virtual_frame
+from annotator.recordings.look_around import R_CAMERA_LEVEL, RigCamera, Scan, Scanned, choose, level_turn, virtual_frame
 from annotator.recordings.plausible import LARGEST_SIDE_PX, are_plausible, is_pinhole, pinhole
 from annotator.recordings.recording import ReaderOptions
 from annotator.types import Camera, Frame
 from annotator.types.checks import LATEST_NS, too_late
-from annotator.types.errors import ConfigError, FrameError, RecordingError
+from annotator.types.errors import FrameError, RecordingError
 from annotator.types.messages import amount, first_few
 
 SWEEPS, CAMERAS = "sensors/lidar", "sensors/cameras"
@@ -103,20 +103,8 @@ class ArgoverseLog(Scanned, RigCamera):
         xyz_m = T_camera_ego.apply(raw.xyz_m)
         cloud = visible_cloud(sweep, camera, xyz_m, raw, picture.rgb, f"check {MOUNTS} and {POSES}")
         up = T_city_camera.rotation.inv().apply(UP)
-        time_ns = int(self.images[i])
-        return Frame(
-            key,
-            i,
-            camera,
-            picture.rgb,
-            cloud,
-            None,
-            up,
-            T_camera_ego,
-            time_ns,
-            T_world_camera=T_city_camera,
-            exif_orientation=picture.exif_orientation,
-        )
+        moment = {"timestamp_ns": int(self.images[i]), "T_world_camera": T_city_camera}
+        return picture.frame(key, i, camera, cloud, up=up, T_camera_label=T_camera_ego, **moment)
 
     def scan(self, i: int) -> Scan:
         """Reads the whole sweep of frame `i`."""
@@ -178,24 +166,18 @@ def open_argoverse2(path: Path, options: ReaderOptions) -> ArgoverseLog | None:
     folders = sorted(folder.name for folder in (path / CAMERAS).glob("*/")) if (path / CAMERAS).is_dir() else []
     times = {name: _times(path / CAMERAS / name, IMAGE_SUFFIXES) for name in folders}
     cameras = tuple(name for name in folders if times[name])
-    camera = options.camera or (FRONT if FRONT in cameras else next(iter(cameras), ""))
-    if camera and camera not in cameras:
-        raise ConfigError(f"{path}: has no images of a camera {camera}; it has {', '.join(cameras) or 'none'}")
+    usual = FRONT if FRONT in cameras else next(iter(cameras), "")
+    camera, notes = choose(path, "camera", options.camera, cameras, usual)
     if not camera:
         return ArgoverseLog(path, keys, "", (), (), poses, (f"{CAMERAS}/ has no images; a virtual camera looks ahead",))
     within_s = options.tolerance_s or TOLERANCE_S
     pairs = _pairs(keys, times[camera], within_s)
     if not pairs:
         raise RecordingError(f"{path}: no frames; no image of {camera} is within {within_s:g} s of a sweep")
-    notes = []
-    if len(cameras) > 1 and options.camera is None:
-        notes.append(f"{len(cameras)} cameras: {', '.join(cameras)} (--camera names another, or all)")
-    if len(pairs) < len(keys):
-        alone = len(keys) - len(pairs)
-        notes.append(
-            f"left out: {amount(alone, 'sweep')} without an image within {within_s:g} s (--tolerance changes it)"
-        )
-    return ArgoverseLog(path, tuple(pairs), camera, cameras, tuple(pairs.values()), poses, tuple(notes))
+    if alone := len(keys) - len(pairs):
+        without = f"{amount(alone, 'sweep')} without an image within {within_s:g} s"
+        notes += (f"left out: {without} (--tolerance changes it)",)
+    return ArgoverseLog(path, tuple(pairs), camera, cameras, tuple(pairs.values()), poses, notes)
 
 
 def is_argoverse2(path: Path) -> bool:

@@ -38,7 +38,7 @@ from annotator.recordings.rgbd_folder import Four, Number, Positive, Side, unit_
 from annotator.text import OutsideError, decoded, inside, normal, stem_of
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.bases import FileRecord
-from annotator.types.checks import LATEST_NS, in_time, too_late
+from annotator.types.checks import in_time, seconds_ns
 from annotator.types.errors import FrameError, RecordingError
 
 REMEDY = "export the dataset again"
@@ -95,10 +95,8 @@ class ExportFolder(Recording):
             raise FrameError(cloud, f"is none of {' '.join(CLOUD_SUFFIXES)}", REMEDY)
         raw = read_cloud(cloud)
         points = PointCloud(raw.xyz_m.astype(np.float32), rgb=raw.rgb, reflectance=raw.reflectance)
-        orientation = picture.exif_orientation
-        return Frame(
-            key, i, camera, picture.rgb, points, None, up, None, timestamp_ns, None, T_world_camera, orientation
-        )
+        moment = {"timestamp_ns": timestamp_ns, "T_world_camera": T_world_camera}
+        return picture.frame(key, i, camera, points, up=up, **moment)
 
 
 Vector = tuple[Number, Number, Number]
@@ -240,20 +238,9 @@ def _frames(document: Path, content: Any) -> Iterator[DocumentFrame]:
             str(camera["uri"]),
             str(cloud["uri"]),
             intrinsics,
-            None if time is None else _nanoseconds(str(time)),
+            None if time is None else seconds_ns(str(time)),
             properties.get("transforms", {}).get(PLACE),
         )
-
-
-def _nanoseconds(seconds: str) -> int:
-    """Returns whole nanoseconds; a float would lose some."""
-    whole, _, rest = seconds.partition(".")
-    time_ns = int(whole[:20]) * 10**9 + int((rest[:9] or "0").ljust(9, "0"))
-    if time_ns > LATEST_NS:
-        raise ValueError(too_late(seconds, "s"))
-    if time_ns < 0:
-        raise ValueError(f"the time {seconds[:40]} is negative")
-    return time_ns
 
 
 MANIFEST, LABELS = "dataset.json", "labels"

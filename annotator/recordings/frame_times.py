@@ -115,25 +115,19 @@ def nearest(of_ns: Int64[np.ndarray, "n"], among_ns: Int64[np.ndarray, "m"]) -> 
     return np.asarray(order[np.where(is_before, after - 1, after)])
 
 
-class Clock:
-    """The times of a recording's frames, in order, to find images in."""
+def image_at(recording: Recording, index: int, offset_s: float) -> int:
+    """Index of the frame whose image belongs to the cloud of frame `index`, with the clouds' clock ahead.
 
-    def __init__(self, recording: Recording) -> None:
-        times = recorded_times(recording) if recording.is_sequence else None
-        self._times: Times = () if times is None else tuple(times.values())
-        self._known = [i for i, time in enumerate(self._times) if time is not None]
+    It is the frame itself without a time for it, or where no other image is nearer in time.
 
-    def image_at(self, index: int, offset_s: float) -> int:
-        """Index of the frame whose image belongs to the cloud of frame `index`, with the clouds' clock ahead.
-
-        It is the frame itself without a time for it, or where no other image is nearer in time.
-
-        Args:
-            offset_s: how far the clouds' clock is ahead.
-        """
-        time_ns = self._times[index] if self._times else None
-        if time_ns is None:
-            return index
-        wanted_ns, known_ns = time_ns - round(offset_s * 1e9), np.array([self._times[i] for i in self._known])
-        near = int(nearest(np.array([wanted_ns]), known_ns)[0])
-        return index if abs(time_ns - wanted_ns) <= abs(int(known_ns[near]) - wanted_ns) else self._known[near]
+    Args:
+        offset_s: how far the clouds' clock is ahead.
+    """
+    times: Times | None = getattr(recording, "times_ns", None) if recording.is_sequence else None
+    time_ns = None if times is None else times[index]
+    if times is None or time_ns is None:
+        return index
+    known = [i for i, time in enumerate(times) if time is not None]
+    wanted_ns, known_ns = time_ns - round(offset_s * 1e9), np.array([times[i] for i in known])
+    near = int(nearest(np.array([wanted_ns]), known_ns)[0])
+    return index if abs(time_ns - wanted_ns) <= abs(int(known_ns[near]) - wanted_ns) else known[near]

@@ -32,6 +32,7 @@ from annotator.geometry.projection import in_metres, measured
 from annotator.image_bytes import UPRIGHT, Size, decode_image, described, is_turned, orientation_of, turned
 from annotator.recordings.clouds.columns import FIRST, depth_bits, files_like
 from annotator.recordings.listing import file_errors
+from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
 
 
@@ -86,6 +87,10 @@ class ColorImage:
 
     rgb: UInt8[np.ndarray, "h w 3"]
     exif_orientation: int = UPRIGHT
+
+    def frame(self, key: str, i: int, camera: Camera, cloud: PointCloud, **more: Any) -> Frame:
+        """Returns the frame of this image; `more` are further fields of it."""
+        return Frame(key, i, camera, self.rgb, cloud, exif_orientation=self.exif_orientation, **more)
 
 
 def read_color_image(path: Path, size: Size | None = None, *, has_depth: bool = False) -> ColorImage:

@@ -37,7 +37,7 @@ from annotator.geometry.transforms import level_pose
 from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, joined, sorted_keys, stems
-from annotator.recordings.look_around import Scan, Scanned, Scenes
+from annotator.recordings.look_around import Scan, Scanned, Scenes, choose
 from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation, pinhole
 from annotator.recordings.recording import ReaderOptions
 from annotator.recordings.scan_file import Scans
@@ -429,12 +429,7 @@ def _drives(root: Path) -> list[str]:
 
 
 def _sequence(path: Path, root: Path, drives: list[str], options: ReaderOptions) -> KittiTracking:
-    scene = options.scene or drives[0]
-    if scene not in drives:
-        raise ConfigError(f"{path}: has no scene {scene}; it has {', '.join(drives)}")
+    scene, notes = choose(path, "scene", options.scene, drives, drives[0])
     images, scans = f"{IMAGES}/{scene}", f"{SCANS}/{scene}"
     keys = keys_in(root, images, scans) or sorted_keys(root, set(), f"{images}/KEY.png and {scans}/KEY.bin")
-    notes: tuple[str, ...] = ()
-    if len(drives) > 1 and options.scene is None:
-        notes = (f"{len(drives)} drives: {', '.join(drives)}; this is the first (--scene names another, or all)",)
     return KittiTracking(path, keys, root, images, scans, scene, tuple(drives), notes, reader=Scans(options.columns))

@@ -9,6 +9,7 @@ one of them. The image is rendered from the points; the cloud is the whole scan.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Collection
 from dataclasses import dataclass
 from math import pi, radians, tan
 from pathlib import Path
@@ -48,6 +49,19 @@ class Scenes(Recording):
     # the scene's name, and those of all scenes of the dataset
     scene: str
     scenes: tuple[str, ...]
+
+
+def choose(
+    path: Path, what: str, wanted: str | None, names: Collection[str], usual: str
+) -> tuple[str, tuple[str, ...]]:
+    """Returns the scene or camera (`what`) that is wanted, else the usual one; and a note on the others if none is."""
+    name = wanted or usual
+    if name and name not in names:
+        raise ConfigError(f"{path}: has no {what} {name}; it has {', '.join(names) or 'none'}")
+    if wanted is not None or len(names) < 2:
+        return name, ()
+    option = what.split()[-1]
+    return name, (f"{len(names)} {option}s: {', '.join(names)}; this is {name} (--{option} names another, or all)",)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,13 +122,13 @@ class LookAround(Scanned, RigCamera):
         base: the recording of the LiDAR.
         cameras: the names of all virtual cameras.
         camera: this camera's name: `around-060` looks 60 degrees to the left of ahead.
-        others: a note on the other cameras; "" if this one was chosen.
+        others: a note on the other cameras; none if this one was chosen.
     """
 
     base: Scanned
     cameras: tuple[str, ...]
     camera: str
-    others: str = ""
+    others: tuple[str, ...] = ()
     format: ClassVar[str] = "look_around"
 
     @property
@@ -131,7 +145,7 @@ class LookAround(Scanned, RigCamera):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        return (*self.base.notes, self.others) if self.others else self.base.notes
+        return (*self.base.notes, *self.others)
 
     @property
     def origin(self) -> Place | None:
@@ -168,11 +182,9 @@ def look_around(base: Scanned, options: ReaderOptions) -> LookAround:
     """Returns a virtual camera of a recording; without the option `camera`, the one that looks ahead."""
     assert options.look_around is not None
     names = camera_names(options.look_around)
-    camera = options.camera or AHEAD
-    if camera not in names:
-        raise ConfigError(f"{base.path}: has no virtual camera {camera}; it has {', '.join(names)}")
-    others = "" if options.camera else f"{len(names)} cameras: {', '.join(names)} (--camera names another, or all)"
-    return LookAround(base.path, base.keys, base, names, camera, others)
+    return LookAround(
+        base.path, base.keys, base, names, *choose(base.path, "virtual camera", options.camera, names, AHEAD)
+    )
 
 
 def camera_names(count: int) -> tuple[str, ...]:

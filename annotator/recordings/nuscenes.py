@@ -37,13 +37,22 @@ from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti import visible_cloud
 from annotator.recordings.listing import file_errors
-from annotator.recordings.look_around import R_CAMERA_LEVEL, RigCamera, Scan, Scanned, Scenes, level_turn, virtual_frame
+from annotator.recordings.look_around import (
+    R_CAMERA_LEVEL,
+    RigCamera,
+    Scan,
+    Scanned,
+    Scenes,
+    choose,
+    level_turn,
+    virtual_frame,
+)
 from annotator.recordings.plausible import is_pinhole, pinhole
 from annotator.recordings.recording import ReaderOptions
 from annotator.recordings.scan_file import NUSCENES, Scans
 from annotator.text import posix_path, spelled
 from annotator.types import Camera, Frame
-from annotator.types.errors import ConfigError, FrameError, RecordingError
+from annotator.types.errors import FrameError, RecordingError
 from annotator.types.messages import amount
 
 LIDAR = "LIDAR_TOP"
@@ -247,16 +256,12 @@ class NuScenes(Scanned, RigCamera, Scenes):
 
     def sample(self, key: str) -> str | None:
         """Returns the token of a frame's annotated moment; None between samples."""
-        return self.moments[self._index[key]][0].sample
+        return self.moments[self.indices[key]][0].sample
 
     @cached_property
     def samples(self) -> frozenset[str]:
         """The tokens of all annotated moments."""
         return frozenset(image.sample for image, _ in self.moments if image.sample is not None)
-
-    @cached_property
-    def _index(self) -> dict[str, int]:
-        return {key: index for index, key in enumerate(self.keys)}
 
     def files(self, i: int) -> tuple[Path, ...]:
         self.key(i)
@@ -278,19 +283,9 @@ class NuScenes(Scanned, RigCamera, Scenes):
         xyz_m = (T_camera_global * T_global_lidar).apply(points.xyz_m)
         cloud = visible_cloud(scan_file, camera, xyz_m, points, rgb, "check the poses in the tables")
         up = T_camera_global.rotation.apply(GLOBAL_UP)
-        return Frame(
-            key,
-            i,
-            camera,
-            rgb,
-            cloud,
-            None,
-            up,
-            T_camera_global,
-            image.time_us * 1000,
-            T_world_camera=T_camera_global.inv() if _knows_world(image) else None,
-            exif_orientation=picture.exif_orientation,
-        )
+        world = T_camera_global.inv() if _knows_world(image) else None
+        moment = {"timestamp_ns": image.time_us * 1000, "T_world_camera": world}
+        return picture.frame(key, i, camera, cloud, up=up, T_camera_label=T_camera_global, **moment)
 
     def scan(self, i: int) -> Scan:
         """Reads the whole scan of frame `i`; ahead is where the camera looks; without one, where the vehicle does."""
@@ -341,28 +336,21 @@ def open_nuscenes(path: Path, options: ReaderOptions) -> NuScenes | None:
         names = ", ".join(folder.name for folder in folders)
         raise RecordingError(f"{path}: has several folders of tables ({names}); give the path of one")
     tables, scenes = folders[0], scene_names(folders[0])
-    scene = options.scene or next(iter(scenes))
-    if scene not in scenes:
-        raise ConfigError(f"{path}: has no scene {scene}; it has {', '.join(scenes)}")
+    scene, of_scenes = choose(path, "scene", options.scene, scenes, next(iter(scenes)))
     images, scans, missing = read_scene(tables, scenes[scene])
     if not scans:
         why = f" (missing folders: {', '.join(missing)})" if missing else ""
         raise RecordingError(f"{path}: no frames; {scene} has no scan{why}; copy its samples/ beside the tables")
     cameras, within_s = tuple(sorted(images)), options.tolerance_s or TOLERANCE_S
-    camera = options.camera or (FRONT if FRONT in images else next(iter(images), ""))
-    if camera and camera not in images:
-        raise ConfigError(f"{path}: {scene} has no camera {camera}; it has {', '.join(cameras) or 'none'}")
+    usual = FRONT if FRONT in images else next(iter(images), "")
+    camera, of_cameras = choose(path / scene, "camera", options.camera, cameras, usual)
     moments = _pairs(images[camera], scans, within_s) if camera else tuple((scan, scan) for scan in scans)
     keys = tuple(PurePosixPath(image.file).stem.removesuffix(".pcd") for image, _ in moments)
     if not keys:
         raise RecordingError(f"{path}: no frames; no image of {camera} has a scan within its time; set --tolerance")
     if len(set(keys)) < len(keys):
         raise RecordingError(f"{tables / 'sample_data.json'}: two images of {camera} have one file name; {REMEDY}")
-    notes = []
-    if len(scenes) > 1 and options.scene is None:
-        notes.append(f"{len(scenes)} scenes: {', '.join(scenes)}; this is the first (--scene names another, or all)")
-    if len(cameras) > 1 and options.camera is None:
-        notes.append(f"{len(cameras)} cameras: {', '.join(cameras)} (--camera names another, or all)")
+    notes = [*of_scenes, *of_cameras]
     if missing:
         notes.append(f"left out, because these folders are missing: {', '.join(missing)}")
     if not camera:

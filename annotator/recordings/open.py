@@ -26,8 +26,13 @@ MOST_LEVELS, MOST_FOLDERS, MOST_HINTS = 3, 200, 5
 # How far above a file or folder the recording that it belongs to may be.
 MOST_ABOVE = 3
 ARCHIVES = (".zip", ".tar", ".gz", ".tgz", ".7z", ".rar", ".bz2", ".xz")
-BOXES = "boxes.json"
 VIDEOS = (".mp4", ".avi", ".mov", ".webm")
+# What to do with files that are no recordings, by their suffixes.
+ADVICE = {
+    **dict.fromkeys(ARCHIVES, "it is an archive; unpack it, and give the folder"),
+    **dict.fromkeys(VIDEOS, "it is a video, which has no depth; give a recording with depth images or point clouds"),
+}
+BOXES, OF_BOXES = "boxes.json", "it holds boxes; give the recording's folder, which may have it in truth/"
 
 
 def nearest_formats(path: Path) -> list[str]:
@@ -70,18 +75,6 @@ def missing_part(path: Path) -> str:
     except OSError:
         near = None
     return f"no such file or folder ({there} has no {part}" + ("" if near is None else f"; did you mean {near}?") + ")"
-
-
-def kind_of_file(path: Path) -> list[str]:
-    """Returns what to do with a file that is no recording, by its suffix; empty if unknown."""
-    suffix = path.suffix.lower()
-    if path.name == BOXES:
-        return ["it holds boxes; give the recording's folder, which may have it in truth/"]
-    if suffix in ARCHIVES:
-        return ["it is an archive; unpack it, and give the folder"]
-    if suffix in VIDEOS:
-        return ["it is a video, which has no depth; give a recording with depth images or point clouds"]
-    return []
 
 
 class Reader(NamedTuple):
@@ -167,12 +160,18 @@ def open_recording(path: Path, options: ReaderOptions = NO_OPTIONS) -> Recording
         UnknownFormatError: no reader recognises the path.
         RecordingError: the recording has no frames, or the path cannot be read.
     """
-    result = _try_readers(path, options)
-    if isinstance(result, list):
+    # the virtual cameras are those of the LiDAR, and no camera of the recording itself
+    own = options.model_copy(update={"look_around": None, "camera": None}) if options.look_around else options
+    for name, reader in READERS.items():
         with path_errors(path):
-            message = _explain(path)
-        raise UnknownFormatError(message, tuple(result) if path.exists() else ())
-    return result
+            result = reader.open(path, own)
+        if result is not None:
+            _require_taken(path, name, own)
+            return look_around(_scanned(path, name, result), options) if options.look_around else result
+    with path_errors(path):
+        message = _explain(path)
+    looked_for = [f"{name}: {reader.title}: {', '.join(map(_words, reader.parts))}" for name, reader in READERS.items()]
+    raise UnknownFormatError(message, tuple(looked_for) if path.exists() else ())
 
 
 def detect_format(path: Path) -> str | None:
@@ -186,19 +185,6 @@ def detect_format(path: Path) -> str | None:
             if reader.is_at(path):
                 return name
     return None
-
-
-def _try_readers(path: Path, options: ReaderOptions) -> Recording | list[str]:
-    """Opens `path` with the first reader that recognises it; else returns what each reader looked for."""
-    # the virtual cameras are those of the LiDAR, and no camera of the recording itself
-    own = options.model_copy(update={"look_around": None, "camera": None}) if options.look_around else options
-    for name, reader in READERS.items():
-        with path_errors(path):
-            result = reader.open(path, own)
-        if result is not None:
-            _require_taken(path, name, own)
-            return look_around(_scanned(path, name, result), options) if options.look_around else result
-    return [f"{name}: {reader.title}: {', '.join(map(_words, reader.parts))}" for name, reader in READERS.items()]
 
 
 def _require_taken(path: Path, name: str, options: ReaderOptions) -> None:
@@ -229,7 +215,8 @@ def _explain(path: Path) -> str:
         return f"{path}: {missing_part(path)}; give the path of a recording"
     is_folder = path.is_dir()
     kind = "folder" if is_folder else "file"
-    near = nearest_formats(path) if is_folder else kind_of_file(path)
+    advice = OF_BOXES if path.name == BOXES else ADVICE.get(path.suffix.lower())
+    near = nearest_formats(path) if is_folder else [advice] if advice else []
     parts = [f"{path}: no known recording format in this {kind}", *near]
     below = _recordings_below(path) if is_folder else []
     if below:

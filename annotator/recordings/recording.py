@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -142,6 +143,11 @@ class Recording(ABC):
     def origin(self) -> Place | None:
         """The origin in map coordinates; None in a sensor's coordinates, or with a real camera. It may read a cloud."""
         return None
+
+    @cached_property
+    def indices(self) -> dict[str, int]:
+        """The number of each frame, by its key."""
+        return {key: i for i, key in enumerate(self.keys)}
 
     def __len__(self) -> int:
         """The number of frames, including broken ones."""

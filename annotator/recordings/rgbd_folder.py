@@ -248,17 +248,8 @@ class RgbdFolder(Recording):
         key, (color_path, depth_path) = self.key(i), self.files(i)
         color = read_camera(camera_file(self.path))
         image, cloud, depth_m = read_images(self.path, color_path, depth_path, color)
-        return Frame(
-            key=key,
-            index=i,
-            camera=color.camera,
-            rgb=image.rgb,
-            cloud=cloud,
-            depth_m=depth_m,
-            up=read_up(self.path / "gravity.json"),
-            timestamp_ns=None if self.times_ns is None else self.times_ns[i],
-            exif_orientation=image.exif_orientation,
-        )
+        time_ns, up = None if self.times_ns is None else self.times_ns[i], read_up(self.path / "gravity.json")
+        return image.frame(key, i, color.camera, cloud, depth_m=depth_m, up=up, timestamp_ns=time_ns)
 
     @property
     def notes(self) -> tuple[str, ...]:

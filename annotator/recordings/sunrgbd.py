@@ -150,9 +150,8 @@ class SunRgbdExtracted(Recording):
 def _frame(
     key: str, i: int, calibration: SunCalibration, image: ColorImage, cloud: PointCloud, depth_m: np.ndarray | None
 ) -> Frame:
-    camera, T = calibration.camera(*image.rgb.shape[1::-1]), calibration.T_camera_upright
-    orientation = image.exif_orientation
-    return Frame(key, i, camera, image.rgb, cloud, depth_m, calibration.up, T, exif_orientation=orientation)
+    camera, up = calibration.camera(*image.rgb.shape[1::-1]), calibration.up
+    return image.frame(key, i, camera, cloud, depth_m=depth_m, up=up, T_camera_label=calibration.T_camera_upright)
 
 
 def open_sunrgbd_extracted(path: Path) -> SunRgbdExtracted | None:

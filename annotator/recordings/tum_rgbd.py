@@ -16,7 +16,6 @@ import os
 import re
 from contextlib import suppress
 from dataclasses import dataclass, field
-from decimal import Decimal, InvalidOperation
 from pathlib import Path, PurePosixPath
 from typing import ClassVar
 
@@ -32,7 +31,7 @@ from annotator.recordings.recording import ReaderOptions, Recording
 from annotator.recordings.rgbd_folder import FILE_NAME, RgbdCamera, read_camera, read_images
 from annotator.text import OutsideError, inside, normal, posix_path, stem_of, to_number
 from annotator.types import Camera, Frame
-from annotator.types.checks import LATEST_NS, too_late
+from annotator.types.checks import seconds_ns
 from annotator.types.errors import FrameError, RecordingError
 from annotator.types.messages import amount
 
@@ -123,17 +122,7 @@ class TumRgbd(Recording):
             camera = read_camera(camera.path, UNITS_PER_M)
         image, cloud, depth_m = read_images(self.path, color, depth, camera)
         up = None if self.poses is None else self.poses.up(self.times_ns[i], self.tolerance_ns)
-        return Frame(
-            key,
-            i,
-            camera.camera,
-            image.rgb,
-            cloud,
-            depth_m,
-            up=up,
-            timestamp_ns=self.times_ns[i],
-            exif_orientation=image.exif_orientation,
-        )
+        return image.frame(key, i, camera.camera, cloud, depth_m=depth_m, up=up, timestamp_ns=self.times_ns[i])
 
     def _file(self, name: str) -> Path:
         """Returns the path of a listed file, which must lie in the folder, or in one that is linked into it."""
@@ -184,14 +173,9 @@ def _lines(path: Path) -> list[tuple[int, str]]:
 
 def _time_ns(path: Path, number: int, text: str) -> int:
     try:
-        time_s = Decimal(text)
-        if time_s > LATEST_NS // S_TO_NS:
-            raise RecordingError(f"{path}:{number}: {too_late(text, 's')}; {REMEDY}")
-        if time_s >= 0:
-            return int(time_s * S_TO_NS)
-    except InvalidOperation:
-        pass
-    raise RecordingError(f"{path}:{number}: must begin with a time in seconds, not {text[:40]!r}; {REMEDY}")
+        return seconds_ns(text)
+    except ValueError as error:
+        raise RecordingError(f"{path}:{number}: {error}; {REMEDY}") from error
 
 
 def _listed(path: Path) -> tuple[Int64[np.ndarray, "n"], list[str]]:

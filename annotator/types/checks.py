@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from decimal import Decimal, InvalidOperation
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,23 @@ LATEST_NS = 2**63 - 1
 def too_late(time: object, unit: str) -> str:
     """Says that a time does not fit, and why that probably is."""
     return f"the time {str(time)[:40]} {unit} is beyond the year 2262, so its unit is probably another one"
+
+
+def seconds_ns(text: str) -> int:
+    """Returns a time in seconds, as a text, as whole nanoseconds; a float would lose some.
+
+    Raises:
+        ValueError: it is no such number, negative, or too late.
+    """
+    try:
+        time_s = Decimal(text)
+        if time_s > LATEST_NS // 10**9:
+            raise ValueError(too_late(text, "s"))
+        if time_s >= 0:
+            return int(time_s * 10**9)
+    except InvalidOperation:
+        pass
+    raise ValueError(f"{text[:40]!r} is no time in seconds")
 
 
 def in_time(time: int, unit: str = "ns", unit_ns: int = 1) -> int:

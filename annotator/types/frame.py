@@ -78,14 +78,14 @@ class PointCloud:
         xyz = as_array("xyz_m", self.xyz_m, np.float32, (None, 3))
         object.__setattr__(self, "xyz_m", xyz)
         n = len(xyz)
-        if self.rgb is not None:
-            object.__setattr__(self, "rgb", as_array("rgb", self.rgb, np.uint8, (n, 3)))
-        if self.reflectance is not None:
-            object.__setattr__(self, "reflectance", as_array("reflectance", self.reflectance, np.float32, (n,)))
-        if self.pixel_index is not None:
-            object.__setattr__(self, "pixel_index", as_array("pixel_index", self.pixel_index, np.int32, (n,)))
-        if self.normals is not None:
-            object.__setattr__(self, "normals", as_array("normals", self.normals, np.float32, (n, 3)))
+        for name, dtype, shape in (
+            ("rgb", np.uint8, (n, 3)),
+            ("reflectance", np.float32, (n,)),
+            ("pixel_index", np.int32, (n,)),
+            ("normals", np.float32, (n, 3)),
+        ):
+            if (values := getattr(self, name)) is not None:
+                object.__setattr__(self, name, as_array(name, values, dtype, shape))
 
     def __len__(self) -> int:
         return len(self.xyz_m)

@@ -21,10 +21,10 @@ from annotator.formats.frame_names import LabelledFrame
 from annotator.formats.kitti_folders import label_place, read_kitti_folder
 from annotator.formats.kitti_rows import KittiLabel, kitti_row
 from annotator.formats.rcv import MANIFEST, labelled_frames
-from annotator.formats.reading import holds_texts
+from annotator.formats.reading import faults, holds_texts
 from annotator.project import REVIEWED, Project, StoredFrame
 from annotator.text import normal
-from annotator.types import Label, OrientedBox, ReviewState, Source, Truth
+from annotator.types import Label, OrientedBox, Proposal, ReviewState, Source, Truth
 from annotator.types.errors import ConfigError, FormatError
 from annotator.types.messages import amount
 from annotator.workflows.frame_source import FrameSource, seen_labels
@@ -94,10 +94,8 @@ class Options:
 
 def read_frame_names(path: Path) -> list[str]:
     """Reads frame names from a file with one name per line, such as KITTI's `ImageSets/val.txt`."""
-    try:
+    with faults(path):
         lines = read_text_file(path, TABLE_BYTES).split("\n")
-    except (OSError, UnicodeDecodeError) as error:
-        raise FormatError(path, f"the list of frames cannot be read ({error})") from error
     names = [normal(line.strip()) for line in lines if line.strip()]
     if not names:
         raise FormatError(path, "contains no frame name")
@@ -218,7 +216,7 @@ def frame_tables(detected: Frames, true: Frames) -> tuple[BoxTable, BoxTable]:
 def _scored_boxes(frame: LabelledFrame) -> list[ScoredBox]:
     states = frame.states or [None] * len(frame.truths)
     known = zip(frame.truths, states, strict=True)
-    return [_scored_box(truth) for truth, state in known if state is not ReviewState.REJECTED]
+    return [scored_box(truth) for truth, state in known if state is not ReviewState.REJECTED]
 
 
 def box_table(frames: Sequence[Sequence[ScoredBox]]) -> BoxTable:
@@ -298,11 +296,11 @@ class _Source:
     def kitti(self, stored: StoredFrame) -> tuple[Sequence[KittiLabel], Sequence[KittiLabel]]:
         """Returns the boxes to evaluate and the true boxes of one frame as KITTI's rows."""
         frame = self._frames.read(stored)
-        measured = [kitti_row(*scored_box, frame) for scored_box in self._measured(stored)]
+        measured = [kitti_row(*scored, frame) for scored in self._measured(stored)]
         if self._options.against is Against.REVIEWED:
             return measured, rows_of_truth(((label, box) for label, box, _ in self._true(stored)), frame)
         recording = self._frames.recording(stored.recording_id)
-        return measured, true_kitti_rows(recording, recording.keys.index(stored.key), frame)
+        return measured, true_kitti_rows(recording, recording.indices[stored.key], frame)
 
     def _with_truth(self) -> tuple[int, ...]:
         """Returns the chosen recordings, which must all have truth; without a choice, all that have truth."""
@@ -332,21 +330,22 @@ class _Source:
             labels = self._labels(stored, (*REVIEWED, ReviewState.PROPOSED))
             self._labels_seen += len(labels)
             self._unchanged += sum(label.source is Source.IMPORTED and label.author == AUTHOR for label in labels)
-            return list(map(_scored_box, labels))
+            return list(map(scored_box, labels))
         return list(self._project.proposals.latest(stored.id) or ())
 
     def _true(self, stored: StoredFrame) -> list[ScoredBox]:
         if self._options.against is Against.REVIEWED:
-            return list(map(_scored_box, self._labels(stored, REVIEWED)))
+            return list(map(scored_box, self._labels(stored, REVIEWED)))
         recording = self._frames.recording(stored.recording_id)
-        truths = load_truth(recording, recording.keys.index(stored.key), self._frames.read(stored))
+        truths = load_truth(recording, recording.indices[stored.key], self._frames.read(stored))
         return [(truth.label, truth.box, DEFAULT_SCORE) for truth in truths]
 
     def _labels(self, stored: StoredFrame, states: Collection[ReviewState]) -> list[Label]:
         return [label for label in seen_labels(self._project, self._frames, stored) if label.state in states]
 
 
-def _scored_box(label: Label | Truth) -> ScoredBox:
+def scored_box(label: Label | Truth | Proposal) -> ScoredBox:
+    """Returns the class, the box and the score of a label."""
     return label.label, label.box, _score(label.score)
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from annotator.project import BoxRotation, Project, StoredFrame, StoredRecording
 from annotator.project.recordings import SharedCloud
 from annotator.rcv.config import Orientation
 from annotator.recordings import Recording, open_recording, stored_options
-from annotator.recordings.frame_times import Clock
+from annotator.recordings.frame_times import image_at
 from annotator.recordings.look_around import RigCamera
 from annotator.types import NO_CORRECTION, Correction, Frame, Label
 from annotator.types.errors import FrameError, RecordingError
@@ -30,16 +29,11 @@ class OpenedRecording:
         recording: the recording.
         up: unit vector against gravity in the (corrected) camera frame, if the project sets one.
         correction: of the calibration.
-        indices: index in the recording, by key.
     """
 
     recording: Recording
     up: tuple[float, float, float] | None
     correction: Correction = NO_CORRECTION
-    indices: dict[str, int] = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "indices", {key: index for index, key in enumerate(self.recording.keys)})
 
     def read(self, key: str) -> Frame:
         """Reads a frame, with the project's correction of the calibration and its up direction.
@@ -50,14 +44,10 @@ class OpenedRecording:
         index = self.index(key)
         frame = self.recording.frame(index)
         if self.correction.time_offset_s:
-            shown = self._clock.image_at(index, self.correction.time_offset_s)
+            shown = image_at(self.recording, index, self.correction.time_offset_s)
             frame = frame if shown == index else with_image(frame, self.recording.frame(shown).rgb)
         frame = corrected(frame, self.correction)
         return frame if self.up is None else replace(frame, up=np.asarray(self.up, np.float64))
-
-    @cached_property
-    def _clock(self) -> Clock:
-        return Clock(self.recording)
 
     def index(self, key: str) -> int:
         """The frame's index in the recording.
@@ -65,11 +55,11 @@ class OpenedRecording:
         Raises:
             FrameError: the frame no longer exists.
         """
-        if key not in self.indices:
+        if key not in self.recording.indices:
             raise FrameError(
                 Path(self.recording.path), f"frame {key} no longer exists", "restore it, or add the folder again"
             )
-        return self.indices[key]
+        return self.recording.indices[key]
 
 
 def open_stored(stored: StoredRecording, project: str) -> OpenedRecording:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Mapping
-from difflib import get_close_matches
 from itertools import permutations
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from annotator.project.config import CONFIG_FILE, BoxRotation
 from annotator.rcv.config import RcvConfig, TypicalSize, typical_size
 from annotator.types import DetectorKind, OrientedBox
 from annotator.types.errors import ConfigError, FormatError
+from annotator.types.messages import alternatives
 
 # Number of the latest reviewed boxes of a class that are read, and of those that count: one for each track.
 MOST_READ, MOST_BOXES = 300, 60
@@ -189,6 +189,5 @@ def _message(problem: ErrorDetails) -> str:
     # the only settings with parts are typical sizes
     model = RcvConfig if len(problem["loc"]) == 1 else TypicalSize
     known = [name for name in model.model_fields if name not in DERIVED]
-    near = get_close_matches(str(problem["loc"][-1]), known, 1)
-    hint = f"did you mean {near[0]!r}?" if near else f"the settings are {', '.join(known)}"
+    hint = alternatives(str(problem["loc"][-1]), known)
     return f"{where}: there is no such setting; {hint} (`annotator annotate PROJECT --show-config` prints all)"

@@ -176,13 +176,12 @@ def simulate_recording(
     settings = project.config
     present = [stored for stored in project.frames.of([recording_id]) if stored.index is not None]
     frames = [stored for stored in present if is_labelled(recording, stored.key)][::every]
-    indices = {key: index for index, key in enumerate(recording.keys)}
     drawn_objects = boxes = 0
     for number, stored in enumerate(frames, 1):
         frame = source.read(stored)
         orientation = orientation_for(settings.settings.rotation, frame)
         frame_config = config.model_copy(update={"orientation": orientation})
-        objects = visible_objects(recording, indices[stored.key], frame, settings.classes)
+        objects = visible_objects(recording, recording.indices[stored.key], frame, settings.classes)
         on_image, finished = draw_frame(frame, objects, kind, frame_config)
         revision = _store(project, stored, on_image, finished, kind)
         if kind is BoxKind.BOX and objects:

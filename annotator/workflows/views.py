@@ -23,14 +23,14 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 from scipy.optimize import linear_sum_assignment
 
 from annotator.files import TABLE_BYTES, new_folder, read_file
 from annotator.formats.coco import write_coco
 from annotator.formats.dataset_writing import writing
 from annotator.formats.frame_names import PictureLabels
-from annotator.formats.reading import write_text
+from annotator.formats.reading import faults, write_text
 from annotator.geometry.iou import box_iou
 from annotator.geometry.outline import MIN_SIDE_PX, box_on_image
 from annotator.geometry.projection import in_frustum
@@ -57,7 +57,7 @@ from annotator.rcv.recursion import cut_cloud
 from annotator.rcv.teach import MIN_POINTS
 from annotator.types import Box2D, Camera, Frame, Label, PointCloud, PseudoView, ReviewState
 from annotator.types.bases import Strict
-from annotator.types.errors import ConfigError, FormatError, FrameError
+from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.frame_source import FrameSource, orientation_for
 
 SIDECAR = "views.json"
@@ -95,12 +95,8 @@ def read_places(pictures: Path) -> dict[str, ViewPlace]:
     file = pictures / SIDECAR
     if not file.is_file():
         return {}
-    try:
+    with faults(file, remedy="; write the views again"):
         return {place.file_name: place for place in _PLACES.validate_json(read_file(file, TABLE_BYTES))}
-    except OSError as error:
-        raise FormatError(file, f"cannot be read ({error.strerror})") from error
-    except ValidationError as error:
-        raise FormatError(file, f"is damaged: {error.errors()[0]['msg']}; write the views again") from error
 
 
 def geometry_of(view: PseudoView, image_box: Box2D) -> ViewGeometry:

@@ -66,7 +66,8 @@ def test_the_first_camera_looks_where_a_virtual_camera_looks_today(tmp_path: Pat
     today, ahead = open_recording(tmp_path).frame(0), around(tmp_path, look_around=4).frame(0)
     np.testing.assert_allclose(ahead.cloud.xyz_m, today.cloud.xyz_m, atol=1e-6)
     assert around(tmp_path, look_around=4).notes == (
-        "4 cameras: around-000, around-090, around-180, around-270 (--camera names another, or all)",
+        "4 cameras: around-000, around-090, around-180, around-270; this is around-000 "
+        "(--camera names another, or all)",
     )
     with pytest.raises(ConfigError, match="has no virtual camera left; it has around-000, around-090"):
         around(tmp_path, look_around=4, camera="left")

@@ -86,7 +86,7 @@ KNOWN_CASES: list[Case] = [
     (made.sunrgbd_scene, "extrinsics/20160101.txt", lambda _: b"1 2 3", "must have 12 numbers"),
     (made.sunrgbd_scene, "depth/0000048.png", picture((39, 60)), "the image"),
     (made.sunrgbd_scene, "depth/0000048.png", picture((40, 60), 0), "no pixel has a depth"),
-    (made.tum_rgbd, "rgb.txt", replaced(rb"\n1305031102", b"\nx"), r"rgb\.txt:4: must begin with a time"),
+    (made.tum_rgbd, "rgb.txt", replaced(rb"\n1305031102", b"\nx"), r"rgb\.txt:4: 'x.*' is no time in seconds"),
     (made.tum_rgbd, "depth.txt", replaced(rb"\.png", b".exr"), r"depth\.txt:4: must be a time and a PNG"),
     (made.tum_rgbd, "rgb/1305031102.000000.png", removed, "cannot be read"),
     (made.record3d, "metadata", described(K=[1, 0, 5, 0, 1, 5, 0, 0, 1], perFrameIntrinsicCoeffs=[]),

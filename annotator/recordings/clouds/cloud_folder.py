@@ -27,12 +27,11 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.frame_limits import memory_problem
 from annotator.geometry.transforms import level_pose
-from annotator.image_bytes import UPRIGHT
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.clouds.virtual_camera import Origin, is_far, virtual_image, without_strays
 from annotator.recordings.frame_times import Times, read_times
-from annotator.recordings.image_file import read_color_image
+from annotator.recordings.image_file import ColorImage, read_color_image
 from annotator.recordings.kitti import UP, KittiCalibration, read_calibration, visible_cloud
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, require_size, sorted_keys, stems
 from annotator.recordings.look_around import Scan, Scanned
@@ -116,36 +115,25 @@ class CloudFolder(Scanned):
         """Reads frame `i`. With an image, its cloud holds the points inside the image, else all points."""
         key = self.key(i)
         cloud_path, *images = self.files(i)
-        exif_orientation = UPRIGHT
         if not images:
             source, raw = self._seen(key)
             problem = memory_problem(pixels=source.camera.width_px * source.camera.height_px)
             if problem:
                 raise FrameError(source.path, f"its camera's image is {problem}", "correct the calibration")
             cloud = source.to_camera(raw)
-            rgb = virtual_image(source.camera, cloud)
+            image = ColorImage(virtual_image(source.camera, cloud))
         else:
             path = self.calibration(key) or self._raise_no_calibration(key)
             # KITTI's calibration does not say the size
             size = read_camera(path).size if path.name == FILE_NAME else None
             raw, image = self._raw(key), read_color_image(images[0], size)
-            rgb, exif_orientation = image.rgb, image.exif_orientation
-            source = self._camera(path, rgb)
+            source = self._camera(path, image.rgb)
             remedy = f"check that {source.path} belongs to this cloud and maps its frame to the camera's"
             xyz_m = source.to_camera(raw).xyz_m
-            cloud = visible_cloud(cloud_path, source.camera, xyz_m, raw, rgb, remedy)
-        return Frame(
-            key,
-            i,
-            source.camera,
-            rgb,
-            cloud,
-            up=source.up,
-            T_camera_label=source.T_camera_cloud,
-            timestamp_ns=None if self.times_ns is None else self.times_ns[i],
-            T_world_camera=source.T_camera_cloud.inv() if source.in_world else None,
-            exif_orientation=exif_orientation,
-        )
+            cloud = visible_cloud(cloud_path, source.camera, xyz_m, raw, image.rgb, remedy)
+        world = source.T_camera_cloud.inv() if source.in_world else None
+        moment = {"timestamp_ns": None if self.times_ns is None else self.times_ns[i], "T_world_camera": world}
+        return image.frame(key, i, source.camera, cloud, up=source.up, T_camera_label=source.T_camera_cloud, **moment)
 
     def scan(self, i: int) -> Scan:
         """Reads the whole cloud of frame `i`, ahead being where its camera looks."""

@@ -218,25 +218,8 @@ class DatasetCheck:
             self._add_all(key, [each], ((rules.ODD_SIZE, *odd) for odd in label_rules.odd_sizes([each.truth], usual)))
         path = self.source.recording.path
         self._units(path)
-        axis, number = max(self.mirrored.items(), key=lambda each: each[1], default=(0, 0))
-        if number >= LEAST_MIRRORED and number * 2 > self.seen:
-            message = (
-                f"{number} of {amount(self.seen, 'box')} hold no points, but their mirror images do, with "
-                f"{MIRRORED[axis]} exchanged; the labels' axes are probably left-handed"
-            )
-            self.findings.add(rules.MIRRORED_BOXES, path, message)
-        if self.flat:
-            message = f"{amount(self.flat, 'row has', 'rows have')} a 2D box and no 3D box, and are not used as labels"
-            self.findings.add(rules.FLAT_LABEL, path, message)
-        for names in _spellings({each.truth.label for _, each in self.found}):
-            self.findings.add(rules.CLASS_SPELLING, path, f"{' and '.join(names)} look like one class")
-        empty, off_image = self.faults[rules.EMPTY_BOX], self.faults[rules.IMAGE_BOX_OFF]
-        if self.seen >= LEAST_BOXES and empty * 2 > self.seen:
-            message = "boxes contain no point; check that labels, clouds and calibration belong together"
-            self.findings.add(rules.BOXES_OFF_CLOUD, path, f"{empty} of {self.seen} {message}")
-        if self.with_row >= LEAST_BOXES and off_image * 2 > self.with_row:
-            message = "2D boxes do not match their 3D boxes; check that the calibration is the right one"
-            self.findings.add(rules.BOXES_OFF_IMAGE, path, f"{off_image} of {self.with_row} {message}")
+        for rule, message in self._together():
+            self.findings.add(rule, path, message)
         dataset = self.source.dataset
         declared = None if dataset is None else dataset.manifest.counts.objects
         if declared is not None and declared != len(self.found) and not self.wrong_files:
@@ -245,6 +228,26 @@ class DatasetCheck:
         problem = self.alignment.problem()
         if problem is not None:
             self.findings.add(rules.CALIBRATION_OFF, self.source.calibration(0), problem)
+
+    def _together(self) -> Iterator[tuple[Rule, str]]:
+        """Yields what all labels together show."""
+        axis, number = max(self.mirrored.items(), key=lambda each: each[1], default=(0, 0))
+        if number >= LEAST_MIRRORED and number * 2 > self.seen:
+            hold = f"{number} of {amount(self.seen, 'box')} hold no points, but their mirror images do"
+            how = f"with {MIRRORED[axis]} exchanged; the labels' axes are probably left-handed"
+            yield rules.MIRRORED_BOXES, f"{hold}, {how}"
+        if self.flat:
+            flat = amount(self.flat, "row has", "rows have")
+            yield rules.FLAT_LABEL, f"{flat} a 2D box and no 3D box, and are not used as labels"
+        for names in _spellings({each.truth.label for _, each in self.found}):
+            yield rules.CLASS_SPELLING, f"{' and '.join(names)} look like one class"
+        empty, off_image = self.faults[rules.EMPTY_BOX], self.faults[rules.IMAGE_BOX_OFF]
+        if self.seen >= LEAST_BOXES and empty * 2 > self.seen:
+            advice = "check that labels, clouds and calibration belong together"
+            yield rules.BOXES_OFF_CLOUD, f"{empty} of {self.seen} boxes contain no point; {advice}"
+        if self.with_row >= LEAST_BOXES and off_image * 2 > self.with_row:
+            off = f"{off_image} of {self.with_row} 2D boxes do not match their 3D boxes"
+            yield rules.BOXES_OFF_IMAGE, f"{off}; check that the calibration is the right one"
 
     def _units(self, path: Path) -> None:
         """Adds what the numbers of all boxes together show."""

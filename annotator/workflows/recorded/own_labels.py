@@ -63,28 +63,28 @@ class RecordedLabels(LabelSet):
         self.flat = sum(map(_require_units, self._opened.values()))
         if all(map(one_file_a_frame, self._opened.values())):
             self.faults_of_frames = (FrameError, FormatError)
-        # each labelled frame with its place in its recording
-        self._stored: dict[str, tuple[StoredFrame, int]] = {}
-        places = {number: {key: i for i, key in enumerate(each.keys)} for number, each in self._opened.items()}
+        self._stored: dict[str, StoredFrame] = {}
         for stored in project.frames.of(sorted(self._opened)):
-            recording, index = self._opened[stored.recording_id], places[stored.recording_id].get(stored.key)
-            if stored.index is None or index is None or not is_labelled(recording, stored.key):
+            recording = self._opened[stored.recording_id]
+            is_there = stored.index is not None and stored.key in recording.indices
+            if not is_there or not is_labelled(recording, stored.key):
                 continue
             file = label_file(recording, stored.key) if with_files else None
             if not with_files or (file is not None and file.is_file()):
-                self._stored[f"{selected[stored.recording_id]}/{stored.key}"] = (stored, index)
+                self._stored[f"{selected[stored.recording_id]}/{stored.key}"] = stored
 
     @property
     def frames(self) -> Sequence[str]:
         return tuple(self._stored)
 
     def placed(self, project: Project, recording: str | None = None) -> MatchedFrames:
-        return MatchedFrames(tuple((name, stored) for name, (stored, _) in self._stored.items()), (), None)
+        return MatchedFrames(tuple(self._stored.items()), (), None)
 
     def truths(self, name: str, frame: Frame) -> list[Truth]:
         """As `LabelSet.truths`, without scores: the labels of a recording are true."""
-        stored, index = self._stored[name]
-        truths = load_truth(self._opened[stored.recording_id], index, frame)
+        stored = self._stored[name]
+        recording = self._opened[stored.recording_id]
+        truths = load_truth(recording, recording.indices[stored.key], frame)
         return [each if each.score is None else replace(each, score=None) for each in truths]
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import chain
@@ -24,7 +23,7 @@ from annotator.formats.kitti_tracklets import read_tracklets
 from annotator.formats.labelcloud import CLASSES_FILE, LABELS, read_labelcloud_file
 from annotator.formats.nuscenes import ANNOTATIONS, is_seen, read_sample_boxes
 from annotator.formats.rcv import MANIFEST, RcvDataset, read_rcv, truth_of
-from annotator.formats.reading import Angles, read_mask, text_rows
+from annotator.formats.reading import Angles, read_mask, reported, text_rows
 from annotator.formats.sunrgbd import extracted_truth, read_scene_labels
 from annotator.formats.table import BoxFormat
 from annotator.geometry.outline import Sight
@@ -269,18 +268,10 @@ def _plain(truths: Iterable[Truth], file: Path, T: RigidTransform | None = None)
     return FrameLabels([FoundLabel(each, file) for each in transformed(list(truths), T)])
 
 
-@contextmanager
-def _collected(faults: list[FormatError]) -> Iterator[None]:
-    try:
-        yield
-    except FormatError as fault:
-        faults.append(fault)
-
-
 def _first(faults: Iterable[FormatError], angles: Angles) -> FormatError | None:
     """The first fault, also if it is the unit of the angles."""
     of_set: list[FormatError] = []
-    with _collected(of_set):
+    with reported(of_set.append):
         angles.require()
     return next(chain(faults, of_set), None)
 
@@ -291,7 +282,7 @@ def _objects(
     """The 3D boxes of KITTI rows; adds faults and angles."""
     found: list[FoundLabel] = []
     for row in rows:
-        with _collected(faults):
+        with reported(faults.append):
             if row.is_solid:
                 found.append(FoundLabel(row_truth(row, T, path, angles), path, row.line, row))
     return found
@@ -311,7 +302,7 @@ def _label_pose(frame: Frame | None) -> RigidTransform | None:
 def _of_votenet(_recording: Recording, _key: str, path: Path, frame: Frame | None) -> FrameLabels:
     faults, found = list[FormatError](), list[FoundLabel]()
     for line, fields in text_rows(path):
-        with _collected(faults):
+        with reported(faults.append):
             found.append(FoundLabel(extracted_truth(fields, _label_pose(frame), path, line), path, line))
     return FrameLabels(found, faults, error=next(iter(faults), None))
 
@@ -338,11 +329,11 @@ def _tracks(path: Path) -> dict[str, FrameLabels]:
 
 def _boxes(path: Path) -> dict[str, FrameLabels]:
     of_file, found = list[FormatError](), dict[str, FrameLabels]()
-    with _collected(of_file):
+    with reported(of_file.append):
         for key, entries in each_entries(path):
             faults, objects = list[FormatError](), list[FoundLabel]()
             for number, entry in enumerate(entries):
-                with _collected(faults):
+                with reported(faults.append):
                     objects.append(FoundLabel(entry_truth(entry, path, key, number), path))
             found[normal(key)] = FrameLabels(objects, faults)
     every = chain(of_file, *(each.faults for each in found.values()))

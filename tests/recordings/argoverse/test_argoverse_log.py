@@ -71,8 +71,10 @@ def test_cameras_and_sweeps_without_images(tmp_path: Path):
     write_log(tmp_path)
     recording = opened(tmp_path)
     assert recording.camera == "ring_front_center"
-    assert recording.notes == ("2 cameras: ring_front_center, ring_rear_left (--camera names another, or all)",)
-    with pytest.raises(ConfigError, match="has no images of a camera left; it has ring_front_center, ring_rear_left"):
+    assert recording.notes == (
+        "2 cameras: ring_front_center, ring_rear_left; this is ring_front_center (--camera names another, or all)",
+    )
+    with pytest.raises(ConfigError, match="has no camera left; it has ring_front_center, ring_rear_left"):
         opened(tmp_path, camera="left")
     near = next((tmp_path / "sensors" / "cameras" / "ring_front_center").glob("*.png"))
     near.unlink()

@@ -113,13 +113,13 @@ def test_the_first_scene_and_the_front_camera_are_read_unless_others_are_named(t
     recording = opened(small(tmp_path))
     assert (recording.scene, recording.camera) == ("scene-0000", "CAM_FRONT")
     assert recording.notes == (
-        "2 scenes: scene-0000, scene-0001; this is the first (--scene names another, or all)",
-        "2 cameras: CAM_BACK, CAM_FRONT (--camera names another, or all)",
+        "2 scenes: scene-0000, scene-0001; this is scene-0000 (--scene names another, or all)",
+        "2 cameras: CAM_BACK, CAM_FRONT; this is CAM_FRONT (--camera names another, or all)",
     )
     assert opened(tmp_path / "v1.0-mini").keys == recording.keys
     with pytest.raises(ConfigError, match="has no scene x; it has scene-0000, scene-0001"):
         opened(tmp_path, scene="x")
-    with pytest.raises(ConfigError, match="scene-0000 has no camera left; it has CAM_BACK, CAM_FRONT"):
+    with pytest.raises(ConfigError, match="scene-0000: has no camera left; it has CAM_BACK, CAM_FRONT"):
         opened(tmp_path, camera="left")
     (tmp_path / "v1.0-trainval").symlink_to(tmp_path / "v1.0-mini")
     with pytest.raises(RecordingError, match=r"several folders of tables \(v1\.0-mini, v1\.0-trainval\)"):
@@ -157,7 +157,7 @@ def test_a_scene_without_images_is_seen_by_virtual_cameras(tmp_path: Path):
         # level, ahead of the vehicle or behind it; the LiDAR is 0.9 m before the vehicle's origin, on a slope
         np.testing.assert_allclose(truth.box.center_m[2], place_m + (0.9 if one is around else -0.9), atol=0.15)
         np.testing.assert_allclose(frame.up, [0, -1, 0], atol=1e-9)
-    with pytest.raises(ConfigError, match="scene-0000 has no camera CAM_FRONT; it has none"):
+    with pytest.raises(ConfigError, match="scene-0000: has no camera CAM_FRONT; it has none"):
         opened(tmp_path, camera="CAM_FRONT")
 
 
