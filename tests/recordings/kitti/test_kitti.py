@@ -170,6 +170,7 @@ RAW_DAMAGES = [
         lambda p: p.write_text("2011-02-31 13:02:25.9\n"),
         "line 1 must",
     ),
+    (lambda drive: drive / "image_02" / "timestamps.txt", lambda p: p.write_text("1317042145\n"), "line 1 must"),
 ]
 
 
