@@ -12,6 +12,7 @@ from __future__ import annotations
 import bz2
 import sqlite3
 import sys
+from array import array
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -195,10 +196,18 @@ class ChunkedFile(BagFile):
         with KEPT_LOCK:
             content = KEPT.pop((self, number), None) or self.opened(number)
             KEPT[self, number] = content
-            # the oldest ones are forgotten
-            while len(KEPT) > MOST_KEPT or sum(len(each.data) for each in KEPT.values()) > MOST_KEPT_BYTES:
+            # the oldest ones are forgotten, but not this one
+            while len(KEPT) > 1 and (
+                len(KEPT) > MOST_KEPT or sum(len(each.data) for each in KEPT.values()) > MOST_KEPT_BYTES
+            ):
                 del KEPT[next(iter(KEPT))]
-        return content.read(start, end)
+        try:
+            return content.read(start, end)
+        except OSError:
+            # what failed once may be read later, but not by these pieces
+            with KEPT_LOCK:
+                KEPT.pop((self, number), None)
+            raise
 
 
 # The contents that were read last, of all files, for all threads.
@@ -326,17 +335,18 @@ class SqliteFile(BagFile):
 
     def _list_messages(self) -> None:
         """Lists all messages, as far as the file is sound."""
-        rows, size = list[tuple[int, ...]](), self.path.stat().st_size
+        # the three numbers of each: a list of lists would need six times the memory
+        found, size = array("q"), self.path.stat().st_size
         try:
             for row in self._connection.execute("SELECT topic_id, timestamp, id FROM messages"):
-                rows.append(tuple(map(int, row)))
+                found.extend(map(int, row))
                 # pages of a damaged file may lead to each other in circles
-                if len(rows) > size:
+                if len(found) > 3 * size:
                     raise ValueError("it lists more messages than it has bytes")
         except (sqlite3.Error, OverflowError, TypeError, ValueError) as error:
-            after = f"after {amount(len(rows), 'message')} ({error}); the others are not used"
+            after = f"after {amount(len(found) // 3, 'message')} ({error}); the others are not used"
             self.notes = (f"{self.path.name} is damaged {after}",)
-        channel, log_ns, row_id = np.array(rows, np.int64).reshape(-1, 3).T
+        channel, log_ns, row_id = np.array(found[: len(found) // 3 * 3], np.int64).reshape(-1, 3).T
         self.messages = listed(channel, log_ns, -1, row_id)
 
 
