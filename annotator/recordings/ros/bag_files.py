@@ -139,25 +139,32 @@ class Content:
     Attributes:
         data: what was decompressed.
         is_damaged: there is no more, because the pieces are damaged or end too early.
+        is_wrong: it is complete, but its checksum is another.
     """
 
     def __init__(self, compression: str, pieces: Iterator[bytes], full_size: int | None = None, checksum: int = 0):
-        self.data, self.is_damaged = bytearray(), False
+        self.data, self.is_damaged, self.is_wrong = bytearray(), False, False
         self._stream, self._pieces = _decompressor(compression), pieces
         self._full_size, self._checksum, self._lock = full_size, checksum, Lock()
 
-    def read(self, start: int, end: int) -> bytes:
-        """Returns the bytes from `start` to `end`, or as far as they are sound."""
+    def read(self, start: int, end: int, is_checked: bool = True) -> bytes:
+        """Returns the bytes from `start` to `end`, or as far as they are sound.
+
+        Args:
+            is_checked: raises ValueError if the checksum is wrong; nothing is returned before all is decompressed.
+        """
         with self._lock:
-            while len(self.data) < end and not self._stream.eof and not self.is_damaged:
+            until = max(end, self._full_size or 0) if self._checksum else end
+            while len(self.data) < until and not self._stream.eof and not self.is_damaged:
                 piece = next(self._pieces, None) if self._stream.needs_input else b""
                 try:
-                    self.data += self._stream.decompress(piece, end - len(self.data))
+                    self.data += self._stream.decompress(piece, until - len(self.data))
                 except Exception:  # each library has its own; without a piece, it is a TypeError
                     self.is_damaged = True
                 if self._checksum and len(self.data) == self._full_size and crc32(self.data) != self._checksum:
-                    self.is_damaged = True
-                    self.data.clear()
+                    self.is_damaged = self.is_wrong = True
+            if self.is_wrong and is_checked:
+                raise ValueError("the checksum of a chunk is wrong: the file is damaged there")
             return bytes(memoryview(self.data)[start:end])
 
 
@@ -185,14 +192,14 @@ class ChunkedFile(BagFile):
             file.seek(at)
             return file.read(max(size, 0))
 
-    def content(self, number: int, start: int, size: int) -> bytes:
+    def content(self, number: int, start: int, size: int, is_checked: bool = True) -> bytes:
         """Reads `size` bytes of a chunk's content from `start`, or as far as it is sound; chunk -1 is the file."""
         chunk = self.chunks[number] if number >= 0 else Chunk(0, self.path.stat().st_size, "")
         if chunk.compression in ("", "none"):
             require_memory(more_bytes=size)
             return self._stored(chunk.at + start, min(size, chunk.size - start))
         end = start + size if chunk.full_size is None else min(start + size, chunk.full_size)
-        require_memory(more_bytes=end)
+        require_memory(more_bytes=end if chunk.full_size is None else chunk.full_size)
         with KEPT_LOCK:
             content = KEPT.pop((self, number), None) or self.opened(number)
             KEPT[self, number] = content
@@ -202,7 +209,7 @@ class ChunkedFile(BagFile):
             ):
                 del KEPT[next(iter(KEPT))]
         try:
-            return content.read(start, end)
+            return content.read(start, end, is_checked)
         except OSError:
             # what failed once may be read later, but not by these pieces
             with KEPT_LOCK:
