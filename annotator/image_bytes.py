@@ -82,7 +82,9 @@ def decode_image(data: bytes, flags: int, *, give_points: bool = False) -> np.nd
         raise ValueError("the file is empty")
     file = _opened(data)
     if file is None:
-        raise ValueError("cannot be decoded as a PNG or JPEG image; convert images of other formats to one of these")
+        is_known = data.startswith((PNG_SIGNATURE, JPEG_START))
+        why = "its header is damaged or truncated" if is_known else "convert images of other formats to one of these"
+        raise ValueError(f"cannot be decoded as a PNG or JPEG image; {why}")
     require_pixels(*file.size, give_points=give_points)
     try:
         file.verify()
