@@ -7,7 +7,7 @@ here) decompresses a file of some kilobytes to any size.
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
@@ -27,16 +27,20 @@ def read_mat(path: Path, name: str, most_bytes: int) -> object:
     several lines.
 
     Args:
-        most_bytes: size limit of the file.
+        most_bytes: size limit of the file, and of the variable in memory.
 
     Raises:
         ValueError: too large in memory, damaged, of another version, or no such variable.
         OSError: the file cannot be read, or is larger.
     """
-    return fenced(f"{__name__}:load_mat", read_file(path, most_bytes), name)
+    return fenced(f"{__name__}:load_mat", read_file(path, most_bytes), name, most_bytes)
 
 
-def load_mat(data: bytes, name: str) -> object:
+# Memory of an element of a cell or struct, at least; SUN RGB-D's table has about 700,000.
+ELEMENT_BYTES = 128
+
+
+def load_mat(data: bytes, name: str, most_bytes: int) -> object:
     """As `read_mat`, in this process."""
     from scipy.io import loadmat
 
@@ -45,16 +49,27 @@ def load_mat(data: bytes, name: str) -> object:
     found = loadmat(io.BytesIO(data), variable_names=[name])
     if name not in found:
         raise FenceError(f"has no variable {name}")
-    return _plain(found[name])
+    taken = 0
+
+    def plain(value: Any) -> object:
+        nonlocal taken
+        taken += ELEMENT_BYTES + getattr(value, "nbytes", 0)
+        # a file of some kilobytes unpacks to gigabytes
+        if taken > most_bytes:
+            raise FenceError(f"its {name} is larger than {most_bytes // 2**20} MiB in memory")
+        return _plain(value, plain)
+
+    return plain(found[name])
 
 
-def _plain(value: Any) -> object:
+def _plain(value: Any, plain: Callable[[Any], object]) -> object:
+    """Returns a variable; `plain` returns its elements."""
     if not isinstance(value, np.ndarray):
         return None
     if value.dtype.names is not None:
-        return [{field: _plain(row[field]) for field in value.dtype.names} for row in value.ravel(order="F")]
+        return [{field: plain(row[field]) for field in value.dtype.names} for row in value.ravel(order="F")]
     if value.dtype.kind == "O":
-        return [_plain(each) for each in value.ravel(order="F")]
+        return [plain(each) for each in value.ravel(order="F")]
     if value.dtype.kind == "U":
         return "".join(value.ravel()) if value.size < 2 else None
     return value if value.dtype.kind in "biufc" else None

@@ -82,7 +82,9 @@ def decode_image(data: bytes, flags: int, *, give_points: bool = False) -> np.nd
         raise ValueError("the file is empty")
     file = _opened(data)
     if file is None:
-        raise ValueError("cannot be decoded as a PNG or JPEG image; convert images of other formats to one of these")
+        is_known = data.startswith((PNG_SIGNATURE, JPEG_START))
+        why = "its header is damaged or truncated" if is_known else "convert images of other formats to one of these"
+        raise ValueError(f"cannot be decoded as a PNG or JPEG image; {why}")
     require_pixels(*file.size, give_points=give_points)
     try:
         file.verify()
@@ -136,11 +138,22 @@ def orientation_of(data: bytes) -> int:
 
     file, exif = _opened(data), Exif()
     try:
-        exif.load(b"" if file is None else file.info.get("exif", b""))
+        exif.load(b"" if file is None else file.info.get("exif") or _exif_behind_pixels(data))
         orientation = exif.get(ORIENTATION_TAG)
     except Exception:
         return UPRIGHT
     return int(orientation) if orientation in HOW else UPRIGHT
+
+
+def _exif_behind_pixels(data: bytes) -> bytes:
+    """Returns EXIF that a PNG file has after its pixels, where PIL looks only while it decodes them."""
+    at = len(PNG_SIGNATURE)
+    while data.startswith(PNG_SIGNATURE) and at + 8 <= len(data):
+        end = at + 8 + int.from_bytes(data[at : at + 4])
+        if data[at + 4 : at + 8] == b"eXIf":
+            return data[at + 8 : end]
+        at = end + 4
+    return b""
 
 
 def is_turned(orientation: int, stored: Size, said: Size | None) -> bool | None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import struct
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -76,3 +78,20 @@ def test_matlab_files_are_read(tmp_path: Path, compressed: bool) -> None:
         path.write_bytes(damaged)
         with pytest.raises(ValueError, match=problem):
             read_mat(path, "cloud", 2**20)
+
+
+def element(kind: int, content: bytes) -> bytes:
+    return struct.pack("<II", kind, len(content)) + content + bytes(-len(content) % 8)
+
+
+@pytest.mark.parametrize(("kind", "value"), [(6, element(9, bytes(2**26))), (1, element(14, b"") * 2**18)])
+def test_a_small_matlab_file_takes_no_gigabytes(tmp_path: Path, kind: int, value: bytes) -> None:
+    """One unpacks to many numbers, the other to many objects."""
+    count = (len(value) - 8 * (kind == 6)) // 8
+    head = element(6, struct.pack("<II", kind, 0)) + element(5, struct.pack("<ii", 1, count)) + element(1, b"ab")
+    packed = zlib.compress(element(14, head + value))
+    path = tmp_path / "a.mat"
+    path.write_bytes(b"MATLAB 5.0".ljust(124) + b"\0\1IM" + struct.pack("<II", 15, len(packed)) + packed)
+    assert path.stat().st_size < 2**17
+    with pytest.raises(FenceError, match="its ab is larger than 32 MiB in memory"):
+        read_mat(path, "ab", 2**25)

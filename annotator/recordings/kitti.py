@@ -21,6 +21,7 @@ has no colour and no label, and is dropped.
 
 from __future__ import annotations
 
+import re
 from abc import abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -312,6 +313,8 @@ def open_kitti_object(path: Path, options: ReaderOptions) -> KittiObject | None:
 
 CAMERAS, LIDAR = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
 RAW_TIMES = "image_02/timestamps.txt"
+# Of the years that 64 bits of nanoseconds hold; numpy would wrap others, and read "2011" or "now".
+TIME = re.compile(r"(?:19[7-9]|20\d)\d-\d\d-\d\d \d\d:\d\d:\d\d(?:\.\d{1,9})?")
 
 
 @dataclass(frozen=True, eq=False)
@@ -358,10 +361,9 @@ class KittiRaw(KittiFolder):
 
 def _nanoseconds(line: str) -> int | None:
     try:
-        time = np.datetime64(line, "ns")
-    except ValueError:
+        return int(np.datetime64(line, "ns").astype(np.int64)) if TIME.fullmatch(line) else None
+    except ValueError:  # such as the 31st of February
         return None
-    return None if np.isnat(time) else int(time.astype(np.int64))
 
 
 def open_kitti_raw(path: Path, options: ReaderOptions) -> KittiRaw | None:

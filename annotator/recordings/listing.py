@@ -48,7 +48,9 @@ def file_errors(path: Path, remedy: str, what: str = "", kind: type[RecordingErr
             problem = what + first_problem(error)
         if kind is FrameError:
             raise FrameError(path, problem, remedy) from error
-        raise RecordingError(f"{path}: {problem}; {remedy}") from error
+        # of a folder, it may be a file or folder within
+        where = getattr(error, "filename", None) or path
+        raise RecordingError(f"{where}: {problem}; {remedy}") from error
 
 
 def require_size(path: Path, image: np.ndarray, size: tuple[int, int], whose: str, remedy: str) -> None:

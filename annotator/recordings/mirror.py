@@ -110,6 +110,10 @@ class Mirror(Recording):
         return self.opened.root
 
     @property
+    def name(self) -> str:
+        return self.opened.name
+
+    @property
     def notes(self) -> tuple[str, ...]:
         return self.opened.notes
 

@@ -160,8 +160,7 @@ class Scans:
         own, said = weigh_columns(data), said_columns(path)
         if said is not None:
             columns, source = said
-            # two points in a row fit, too
-            if own is not None and own % columns:
+            if own not in (None, columns):
                 raise UnclearError(
                     path,
                     f"{source} says {columns} values per point, but its values look like rows of {own}",

@@ -48,6 +48,8 @@ NEIGHBOURS = 3
 REMEDY = "correct the line, or remove it"
 # Between the values of a line, as in TUM's own tools.
 SEPARATOR = re.compile(r"[\s,]+")
+# Seconds and their decimals, with blanks between the values.
+DECIMAL_COMMA = re.compile(r"\d+,\d+\s")
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +170,11 @@ def _lines(path: Path) -> list[tuple[int, str]]:
     with file_errors(path, "correct or copy it", kind=RecordingError):
         lines = read_text_file(path, TABLE_BYTES).split("\n")
     rows = [(number, line.strip()) for number, line in enumerate(lines, 1)]
-    return [(number, line) for number, line in rows if line and not line.startswith("#")]
+    rows = [(number, line) for number, line in rows if line and not line.startswith("#")]
+    for number, line in rows:
+        if DECIMAL_COMMA.match(line):
+            raise RecordingError(f"{path}:{number}: begins with a time with a decimal comma; write a point")
+    return rows
 
 
 def _time_ns(path: Path, number: int, text: str) -> int:

@@ -68,7 +68,7 @@ def test_a_folder_of_scans_is_read_by_its_values(tmp_path: Path, columns: int):
 
 
 def test_values_that_contradict_name_or_place_are_refused(tmp_path: Path):
-    for columns, place in ((6, "velodyne/1.bin"), (4, "points/1.pcd.bin")):
+    for columns, place in ((6, "velodyne/1.bin"), (8, "velodyne/2.bin"), (4, "points/1.pcd.bin")):
         with pytest.raises(UnclearError, match=f"its (place|name) .* but its values look like rows of {columns}; give"):
             Scans().read(put(tmp_path, place, columns))
         assert len(Scans(columns).read(tmp_path / place).xyz_m) == COUNT

@@ -64,7 +64,8 @@ KNOWN_CASES: list[Case] = [
       for build, calib in ((kitti_object, "calib/0.txt"), (kitti_tracking, "calib.txt"))),
     (kitti_raw, "calib_velo_to_cam.txt", replaced(rb"R: \S+", b"R: 0.9"), "pose is not a rotation"),
     (kitti_raw, "calib_velo_to_cam.txt", replaced(rb"T: ", b"T: 1 "), "must have 3 numb"),
-    (kitti_raw, "image_02/timestamps.txt", lambda _: b"2011-02-31 13:02:25.9\n", "line 1 must"),
+    *((kitti_raw, "image_02/timestamps.txt", lambda _, time=time: time, "line 1 must")
+      for time in (b"2011-02-31 13:02:25.9\n", b"1317042145\n")),
     (rgbd_folder, "color/0.png", lambda old: old[:-20], "the image is damaged or truncated.*; "),
     (rgbd_folder, "color/0.png", picture((6, WIDTH, 3), 1, np.uint8), "is 120 x 6 pixels, but the camera in.*; "),
     (rgbd_folder, "depth/0.png", picture((HEIGHT, WIDTH), 1, np.uint8), "8-bit with 1.*; "),

@@ -115,6 +115,7 @@ def small(number: int) -> np.ndarray:
     ("name", "text", "says"),
     [
         ("depth.txt", "1305031102000000000 a.png", r"depth\.txt:1: the time \d+ s is beyond the year 2262"),
+        ("rgb.txt", "1305031102,25 rgb/a.png", r"rgb\.txt:1: begins with a time with a decimal comma; write a point"),
         ("groundtruth.txt", "1305031102 0 0 0 0,5 0,5 0,5 0,5", r"groundtruth\.txt:1: must be a time, a place"),
         ("groundtruth.txt", "1305031102 0 0 0 2 0.6 -0.3 -0.4", r"groundtruth\.txt:1: must be a time, a place"),
     ],

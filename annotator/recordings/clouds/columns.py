@@ -32,6 +32,8 @@ from annotator.types.errors import FrameError
 
 NAMES = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 PACKED_NAMES = ("rgb", "rgba")
+# Fields of several values are split.
+SPLIT_NAMES = tuple(tuple(f"{name}_{channel}" for channel in range(3)) for name in (*PACKED_NAMES, "color", "colors"))
 # Depths of cameras and scanners, bits; numbers of 16 bits may use fewer.
 DEPTHS = (8, 10, 12, 14, 16, 32)
 # Fractions may exceed 1 by rounding; or this share does not.
@@ -45,7 +47,7 @@ Colors = tuple[UInt8[np.ndarray, "n 3"], float | None]
 
 def point_colors(columns: Mapping[str, np.ndarray]) -> Colors | None:
     """Returns the colours of columns with lower-case names; None without any."""
-    for names in NAMES:
+    for names in (*NAMES, *SPLIT_NAMES):
         if all(name in columns for name in names):
             return eight_bits([columns[name] for name in names])
     for name in PACKED_NAMES:
@@ -303,9 +305,18 @@ def binary_columns(data: bytes, offset: int, count: int, dtype: np.dtype) -> dic
 
 
 def field_columns(rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Returns the fields of a table that are numbers, one a row, by their names in lower case."""
-    names = [name for name in rows.dtype.names or () if rows.dtype[name].kind in "fiu"]
-    return {name.lower(): rows[name] for name in names}
+    """Returns the fields of a table that are numbers by their names in lower case; of several values, the first three.
+
+    These are called `name_0`, `name_1`, `name_2`.
+    """
+    columns = {}
+    for name in rows.dtype.names or ():
+        values = rows[name]
+        if values.dtype.kind in "fiu" and values.ndim == 1:
+            columns[name.lower()] = values
+        elif values.dtype.kind in "fiu" and values.ndim == 2:
+            columns |= {f"{name.lower()}_{number}": column for number, column in enumerate(values.T[:3])}
+    return columns
 
 
 FIRST = 3

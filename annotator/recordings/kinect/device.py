@@ -80,9 +80,10 @@ def open_device(k4a: ModuleType, config: Any, which: str | None) -> tuple[Any, s
         if device.opened:
             device.close()
     raise DeviceError(
-        f"no {NAME} {'' if which is None else f'{which} '}can be opened; of {count} connected, these can be: "
-        f"{', '.join(opened) or 'none'}. Of the others, another program uses it, or this user lacks the permission (on "
-        "Linux, install the SDK's udev rules, 99-k4a.rules); close the other program, or reconnect the device"
+        f"no {NAME} {'' if which is None else f'{which} '}can be opened; of {count} connected, numbered from 0, these "
+        f"can be: {', '.join(opened) or 'none'}. Of the others, another program uses it, or this user lacks the "
+        "permission (on Linux, install the SDK's udev rules, 99-k4a.rules); close the other program, or reconnect the "
+        "device"
     )
 
 

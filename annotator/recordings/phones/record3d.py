@@ -117,14 +117,17 @@ def up_in_camera(world_from_camera: Rotation) -> Float64[np.ndarray, "3"]:
     return np.asarray(world_from_camera.inv().apply(UP))
 
 
-def unpack(data: bytes) -> bytes:
+def unpack(data: bytes, most_bytes: int) -> bytes:
     """Returns what LZFSE compressed; runs in the `fence`."""
     import lzfse
 
     try:
-        return bytes(lzfse.decompress(data))
+        raw = bytes(lzfse.decompress(data))
     except lzfse.error as error:
         raise ValueError("its compression (LZFSE) is damaged") from error
+    if len(raw) > most_bytes:
+        raise ValueError(f"it has {len(raw)} bytes instead of {most_bytes}")
+    return raw
 
 
 @lru_cache(maxsize=4)
@@ -267,13 +270,18 @@ class Record3D(Recording):
         if find_spec("lzfse") is None:
             raise MissingExtraError("lzfse", "phones")
         with file_errors(path, REMEDY):
-            pixels = np.frombuffer(fenced(f"{__name__}:unpack", data), np.dtype(dtype).newbyteorder("<")).astype(dtype)
-            width, height = self.metadata.dw, self.metadata.dh
-            if width is None or height is None:
-                width, height = DEPTH_SIZES.get(pixels.size, (0, 0))
+            width, height = self.metadata.dw or 0, self.metadata.dh or 0
+            if width * height:
+                require_pixels(width, height, give_points=True)
+            own = np.dtype(dtype).newbyteorder("<")
+            most_bytes = own.itemsize * (width * height or max(DEPTH_SIZES))
+            pixels = np.frombuffer(fenced(f"{__name__}:unpack", data, most_bytes), own).astype(dtype)
+            if not width * height:
+                if pixels.size not in DEPTH_SIZES:
+                    raise ValueError(f"the size of its {pixels.size} pixels is unknown (no dw and dh in metadata)")
+                width, height = DEPTH_SIZES[pixels.size]
                 if camera.height_px > camera.width_px:
                     width, height = height, width
-            require_pixels(width, height, give_points=True)
             if pixels.size != width * height:
                 raise ValueError(f"it has {pixels.size} pixels instead of {width} x {height}")
         return path, pixels.reshape(height, width)

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Int64
 
 from annotator.files import open_file, read_text_file
-from annotator.recordings.ros.bag_files import ROS1_MAGIC, SQLITE_MAGIC, BagFile, Channel, Ros1File, SqliteFile
+from annotator.recordings.ros.bag_files import MESSAGE, ROS1_MAGIC, SQLITE_MAGIC, BagFile, Channel, Ros1File, SqliteFile
 from annotator.recordings.ros.mcap_file import MCAP_MAGIC, McapFile
 from annotator.types.errors import RecordingError
 from annotator.types.messages import amount
@@ -104,17 +104,20 @@ def join(path: Path, files: Sequence[BagFile]) -> Bag:
     """Joins the files of a bag."""
     notes = [note for file in files for note in file.notes]
     # by name and type: a topic with messages of two types is two topics
-    sources: dict[str, dict[str, list[tuple[int, int]]]] = {}
+    sources: dict[str, dict[str, list[tuple[Channel, np.ndarray]]]] = {}
     for at, file in enumerate(files):
+        messages = _by_channel(file, at)
         for number, channel in file.channels.items():
-            sources.setdefault(channel.topic, {}).setdefault(short_type(channel.type), []).append((at, number))
+            found = channel, messages.get(number, np.empty(0, MESSAGE))
+            sources.setdefault(channel.topic, {}).setdefault(short_type(channel.type), []).append(found)
     topics = {}
     for name, by_type in sources.items():
-        for kind, channels in by_type.items():
+        for kind, parts in by_type.items():
             shown = name if len(by_type) == 1 else f"{name} ({kind})"
-            topics[shown] = Topic(shown, kind, tuple(files), _messages(files, channels))
-            used = [(at, number) for at, number in channels if number in files[at].messages["channel"]]
-            publishers = {files[at].channels[number].publisher for at, number in used}
+            together = np.concatenate([messages for _, messages in parts])
+            together = together[np.argsort(together["log_ns"], kind="stable")]
+            topics[shown] = Topic(shown, kind, tuple(files), together)
+            publishers = {channel.publisher for channel, messages in parts if len(messages)}
             if len(publishers) > 1 and not name.startswith("/tf"):
                 notes.append(f"the topic {name} has {len(publishers)} publishers ({', '.join(sorted(publishers))})")
         if len(by_type) > 1:
@@ -122,14 +125,12 @@ def join(path: Path, files: Sequence[BagFile]) -> Bag:
     return Bag(path, topics, tuple(notes))
 
 
-def _messages(files: Sequence[BagFile], channels: Sequence[tuple[int, int]]) -> np.ndarray:
-    """Returns the messages of some channels, each given by its file and its number there, by log time."""
-    parts = []
-    for at, number in channels:
-        parts.append(files[at].messages[files[at].messages["channel"] == number])
-        parts[-1]["file"] = at
-    messages = np.concatenate(parts)
-    return messages[np.argsort(messages["log_ns"], kind="stable")]
+def _by_channel(file: BagFile, at: int) -> dict[int, np.ndarray]:
+    """Returns the messages of file number `at`, of the type `MESSAGE`, by the number of their channel."""
+    messages = file.messages[np.argsort(file.messages["channel"], kind="stable")]
+    messages["file"] = at
+    numbers, starts = np.unique(messages["channel"], return_index=True)
+    return dict(zip(numbers.tolist(), np.split(messages, starts[1:]), strict=False))
 
 
 def short_type(name: str) -> str:

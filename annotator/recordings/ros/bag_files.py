@@ -12,6 +12,7 @@ from __future__ import annotations
 import bz2
 import sqlite3
 import sys
+from array import array
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -138,25 +139,32 @@ class Content:
     Attributes:
         data: what was decompressed.
         is_damaged: there is no more, because the pieces are damaged or end too early.
+        is_wrong: it is complete, but its checksum is another.
     """
 
     def __init__(self, compression: str, pieces: Iterator[bytes], full_size: int | None = None, checksum: int = 0):
-        self.data, self.is_damaged = bytearray(), False
+        self.data, self.is_damaged, self.is_wrong = bytearray(), False, False
         self._stream, self._pieces = _decompressor(compression), pieces
         self._full_size, self._checksum, self._lock = full_size, checksum, Lock()
 
-    def read(self, start: int, end: int) -> bytes:
-        """Returns the bytes from `start` to `end`, or as far as they are sound."""
+    def read(self, start: int, end: int, is_checked: bool = True) -> bytes:
+        """Returns the bytes from `start` to `end`, or as far as they are sound.
+
+        Args:
+            is_checked: raises ValueError if the checksum is wrong; nothing is returned before all is decompressed.
+        """
         with self._lock:
-            while len(self.data) < end and not self._stream.eof and not self.is_damaged:
+            until = max(end, self._full_size or 0) if self._checksum else end
+            while len(self.data) < until and not self._stream.eof and not self.is_damaged:
                 piece = next(self._pieces, None) if self._stream.needs_input else b""
                 try:
-                    self.data += self._stream.decompress(piece, end - len(self.data))
+                    self.data += self._stream.decompress(piece, until - len(self.data))
                 except Exception:  # each library has its own; without a piece, it is a TypeError
                     self.is_damaged = True
                 if self._checksum and len(self.data) == self._full_size and crc32(self.data) != self._checksum:
-                    self.is_damaged = True
-                    self.data.clear()
+                    self.is_damaged = self.is_wrong = True
+            if self.is_wrong and is_checked:
+                raise ValueError("the checksum of a chunk is wrong: the file is damaged there")
             return bytes(memoryview(self.data)[start:end])
 
 
@@ -184,21 +192,29 @@ class ChunkedFile(BagFile):
             file.seek(at)
             return file.read(max(size, 0))
 
-    def content(self, number: int, start: int, size: int) -> bytes:
+    def content(self, number: int, start: int, size: int, is_checked: bool = True) -> bytes:
         """Reads `size` bytes of a chunk's content from `start`, or as far as it is sound; chunk -1 is the file."""
         chunk = self.chunks[number] if number >= 0 else Chunk(0, self.path.stat().st_size, "")
         if chunk.compression in ("", "none"):
             require_memory(more_bytes=size)
             return self._stored(chunk.at + start, min(size, chunk.size - start))
         end = start + size if chunk.full_size is None else min(start + size, chunk.full_size)
-        require_memory(more_bytes=end)
+        require_memory(more_bytes=end if chunk.full_size is None else chunk.full_size)
         with KEPT_LOCK:
             content = KEPT.pop((self, number), None) or self.opened(number)
             KEPT[self, number] = content
-            # the oldest ones are forgotten
-            while len(KEPT) > MOST_KEPT or sum(len(each.data) for each in KEPT.values()) > MOST_KEPT_BYTES:
+            # the oldest ones are forgotten, but not this one
+            while len(KEPT) > 1 and (
+                len(KEPT) > MOST_KEPT or sum(len(each.data) for each in KEPT.values()) > MOST_KEPT_BYTES
+            ):
                 del KEPT[next(iter(KEPT))]
-        return content.read(start, end)
+        try:
+            return content.read(start, end, is_checked)
+        except OSError:
+            # what failed once may be read later, but not by these pieces
+            with KEPT_LOCK:
+                KEPT.pop((self, number), None)
+            raise
 
 
 # The contents that were read last, of all files, for all threads.
@@ -326,17 +342,18 @@ class SqliteFile(BagFile):
 
     def _list_messages(self) -> None:
         """Lists all messages, as far as the file is sound."""
-        rows, size = list[tuple[int, ...]](), self.path.stat().st_size
+        # the three numbers of each: a list of lists would need six times the memory
+        found, size = array("q"), self.path.stat().st_size
         try:
             for row in self._connection.execute("SELECT topic_id, timestamp, id FROM messages"):
-                rows.append(tuple(map(int, row)))
+                found.extend(map(int, row))
                 # pages of a damaged file may lead to each other in circles
-                if len(rows) > size:
+                if len(found) > 3 * size:
                     raise ValueError("it lists more messages than it has bytes")
         except (sqlite3.Error, OverflowError, TypeError, ValueError) as error:
-            after = f"after {amount(len(rows), 'message')} ({error}); the others are not used"
+            after = f"after {amount(len(found) // 3, 'message')} ({error}); the others are not used"
             self.notes = (f"{self.path.name} is damaged {after}",)
-        channel, log_ns, row_id = np.array(rows, np.int64).reshape(-1, 3).T
+        channel, log_ns, row_id = np.array(found[: len(found) // 3 * 3], np.int64).reshape(-1, 3).T
         self.messages = listed(channel, log_ns, -1, row_id)
 
 

@@ -141,7 +141,8 @@ class McapFile(ChunkedFile):
     def _search(self, chunk: int, describe: bool = False) -> None:
         """Adds messages, schemas and channels of a chunk without an index, as far as it is sound."""
         try:
-            content = self.content(chunk, 0, min(self.chunks[chunk].full_size or 0, frame_memory()))
+            # its messages are told to be damaged when they are read
+            content = self.content(chunk, 0, min(self.chunks[chunk].full_size or 0, frame_memory()), is_checked=False)
         except ValueError:  # compressed in an unknown way
             return
         self._list(BytesIO(content), 0, len(content), chunk, describe)

@@ -59,16 +59,24 @@ class Links:
         static: child -> pose in its parent, at all times.
         parents: child -> parent.
         poses: child -> poses in its parent by time.
+        invalid: child -> what is wrong with a pose that was left out.
     """
 
     static: dict[str, RigidTransform] = field(default_factory=dict)
     parents: dict[str, str] = field(default_factory=dict)
     poses: dict[str, dict[int, tuple[np.ndarray, np.ndarray]]] = field(default_factory=dict)
+    invalid: dict[str, str] = field(default_factory=dict)
 
     def add(self, parent: str, child: str, time_ns: int | None, place_m: np.ndarray, quaternion: np.ndarray) -> None:
-        """Adds a pose, without a time a static one; invalid ones are left out."""
-        is_valid = abs(float(np.linalg.norm(quaternion)) - 1) < 0.1 and are_plausible(place_m)
-        if parent == child or child in self.static or not is_valid:
+        """Adds a pose, without a time a static one; invalid ones are left out, and told where a link is missing."""
+        if parent == child or child in self.static:
+            return
+        length = float(np.linalg.norm(quaternion))
+        if not (abs(length - 1) < 0.1 and are_plausible(place_m)):
+            self.invalid[child] = (
+                f"the bag's transform from {child} to {parent} is invalid (a quaternion of length {length:g}, place "
+                f"{' '.join(f'{value:g}' for value in place_m)})"
+            )
             return
         if self.parents.get(child, parent) != parent:
             # a frame with another parent now: its former poses do not hold
@@ -126,6 +134,9 @@ class Links:
 
     def _gap(self, target: str, source: str, top_target: str, top_source: str) -> str:
         missing = f"the transform from {source} to {target} is missing"
+        for top in (top_source, top_target):
+            if top in self.invalid:
+                return f"{missing}: {self.invalid[top]}"
         if not self.parents:
             return f"{missing}: the bag has no tf"
         known = ", ".join(sorted(self.parents.keys() | set(self.parents.values()))[:12])
@@ -183,7 +194,8 @@ class TransformReader:
             if count == read or count > MOST_MESSAGES:
                 continue
             read = count
-            links = Links(self._static_links.static, dict(self._static_links.parents))
+            static = self._static_links
+            links = Links(static.static, dict(static.parents), invalid=dict(static.invalid))
             for topic, numbers in zip(self.moving, ranges, strict=True):
                 for i in numbers:
                     for parent, child, time_ns, place_m, quaternion in _read_links(topic, i):

@@ -64,6 +64,18 @@ def test_three_columns(tmp_path: Path, form: str):
         np.testing.assert_allclose(cloud.xyz_m, XYZ)
 
 
+@pytest.mark.parametrize("form", ["pcd ascii", "pcd binary", "pcd binary_compressed", "npy"])
+def test_one_field_of_several_values(tmp_path: Path, form: str):
+    for name, values in (("rgb", 3), ("rgba", 4), ("Colors", 3)):
+        rows = np.zeros(N, [*((axis, "<f4") for axis in "xyz"), (name, "u1", values)])
+        rows["x"], rows["y"], rows["z"], rows[name][:, :3] = *XYZ.T, RGB
+        text = "\n".join(" ".join(map(str, (*row.tolist()[:3], *row[name]))) for row in rows)
+        body = f"{text}\n".encode() if form == "pcd ascii" else None
+        content = npy(rows) if form == "npy" else pcd(rows, form[4:], body)
+        (tmp_path / f"a.{form[:3]}").write_bytes(content)
+        np.testing.assert_array_equal(read_cloud(tmp_path / f"a.{form[:3]}").rgb, RGB)
+
+
 ALPHA = np.uint32(0xFF000000)
 WHOLE = [(kind, PACKED | alpha) for kind in ("u4", "i4") for alpha in (0, ALPHA, np.uint32(0x7F000000))]
 BITS = [("f4", (PACKED | alpha).view(np.float32)) for alpha in (0, ALPHA)]

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from bag_writer import BagWriter
 from foxglove_takes import WRITERS, foxglove_take, picture_take, write_mcap
+from mcap.writer import CompressionType
 from ros_takes import IMAGE, MS, START_NS, K, seen_points, write_take
 
 from annotator.recordings import detect_format, open_recording
@@ -119,6 +120,20 @@ def test_damage_in_the_middle_loses_only_its_chunk(tmp_path: Path):
         except FrameError as error:
             assert str(error).startswith(str(bag.path))
     assert 200 < readable < len(recording) == 400
+
+
+def test_nothing_is_read_from_a_chunk_with_a_wrong_checksum(tmp_path: Path):
+    path = tmp_path / "a.mcap"
+    moments = [(START_NS + i * 100 * MS, picture_take("protobuf")) for i in range(3)]
+    write_mcap(path, "protobuf", moments, compression=CompressionType.LZ4)
+    content = bytearray(path.read_bytes())
+    # of the first chunk's record: its kind and size, two times, the size of its content
+    content[content.index(b"lz4") - 8] ^= 1
+    path.write_bytes(content)
+    recording = open_recording(path)
+    for i in range(3):
+        with pytest.raises(FrameError, match="checksum"):
+            recording.frame(i)
 
 
 @pytest.mark.parametrize("how", WRITERS)

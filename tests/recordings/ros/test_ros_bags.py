@@ -185,6 +185,16 @@ def test_a_missing_link_is_named(tmp_path: Path, parents: dict[str, str], proble
         open_recording(bag.path).frame(0)
 
 
+def test_an_invalid_link_is_named(tmp_path: Path):
+    with BagWriter(tmp_path, "ros1") as bag:
+        write_scan(bag, START_NS)
+        write_camera(bag, "cam", START_NS)
+        link = {"header": bag.header(START_NS, "lidar"), "child_frame_id": "camera"}
+        bag.write("/tf_static", START_NS, "tf2_msgs/TFMessage", transforms=[link])
+    with pytest.raises(FrameError, match=r"transform from camera to lidar is invalid \(a quaternion of length 0"):
+        open_recording(bag.path).frame(0)
+
+
 def test_the_camera_frame_can_be_named(tmp_path: Path):
     with BagWriter(tmp_path, "sqlite3") as bag:
         write_scan(bag, START_NS)

@@ -46,7 +46,9 @@ def tagged(picture: np.ndarray, orientation: int, suffix: str = ".jpg", order: s
     if suffix == ".jpg":
         return data[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 8) + b"Exif\0\0" + exif + data[2:]
     chunk = b"eXIf" + exif
-    return data[:33] + struct.pack(">I", len(exif)) + chunk + struct.pack(">I", zlib.crc32(chunk)) + data[33:]
+    # before or behind the pixels
+    at = 33 if order == ">" else len(data) - 12
+    return data[:at] + struct.pack(">I", len(exif)) + chunk + struct.pack(">I", zlib.crc32(chunk)) + data[at:]
 
 
 def picture(width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
