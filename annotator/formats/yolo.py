@@ -60,6 +60,10 @@ POINT_NUMBERS, VISIBILITIES = (2, 3), (0, 1, 2)
 # Distance of a box's size, read as a place, from its centre and points, of which there is one, or several; in sides of
 # the rectangle around these. Triangles may be thin.
 FAR = (6, 1)
+# Rows that show that their boxes are full of points; a single polygon may do so by chance.
+LEAST_FULL = 2
+# Share of each side of such a box that its points cover, and distance of the box's centre from the edges of the points.
+FULL, INNER = 0.5, 0.05
 
 
 def dump_boxes(boxes: Sequence[Box2D], numbers: Mapping[str, int], width_px: int, height_px: int) -> str:
@@ -155,7 +159,7 @@ def are_keypoints(boxes: Iterable[YoloBox]) -> bool:
 
     All rows must have the same number of points, and their first four numbers must be a box that holds all points
     behind it. Small polygons may look so, too. But a polygon's second corner is near the others, where the second pair
-    of a box is its size.
+    of a box is its size; and a polygon's first corner is seldom in the middle of the others.
     """
     rows = [box.corners for box in boxes if box.corners]
     if len(set(map(len, rows))) != 1:
@@ -184,7 +188,10 @@ def _are_keypoints(rows: Float64[np.ndarray, "n c"], numbers: int) -> bool:
     first, last = np.minimum(xy.min(axis=1), centers[:, 0]), np.maximum(xy.max(axis=1), centers[:, 0])
     beside = np.maximum(first - sizes[:, 0], sizes[:, 0] - last).max(axis=1)
     is_far = (beside > FAR[xy.shape[1] > 1] * (last - first).max(axis=1)) & ~missing.all(axis=1)
-    return bool(is_far.mean() > 0.5)
+    sides, inner = xy.max(axis=1) - xy.min(axis=1), centers[:, 0]
+    is_inner = (inner > xy.min(axis=1) + INNER * sides) & (inner < xy.max(axis=1) - INNER * sides)
+    is_full = (is_inner & (sides >= FULL * sizes[:, 0])).all(axis=1)
+    return bool(is_far.mean() > 0.5 or (len(rows) >= LEAST_FULL and is_full.mean() > 0.5))
 
 
 PARTS = ("train", "val", "test")

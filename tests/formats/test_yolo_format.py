@@ -214,8 +214,9 @@ POINT = "0 0.5 0.5 0.1 0.1 0.48 0.47 0.52 0.53"
         ([POINT], True),
         (["0 0.5 0.5 0.1 0.1 0.48 0.47 0 0"], True),  # one is missing
         (["0 0.5 0.5 0.1 0.1 0.48 0.47 2 0.52 0.53 1"], True),
-        # boxes with four points each
+        # boxes with four points each, in the middle and where sizes are as large as places
         ([f"0 0.5 0.5 0.1 0.05 {polygon(0.5, 0.5, 0.09, 0.045, 0.4, 4)[2:]}"] * 2, True),
+        ([f"0 {x} 0.11 0.1 0.1 {polygon(x, 0.11, 0.09, 0.09, 0.4, 4)[2:]}" for x in (0.1, 0.12, 0.11)], True),
         # small polygons in the upper left hold their points, read as boxes
         *(([polygon(0.5, 0.5, w, 0.9 * w, 0.4, corners)], False) for w in (0.05, 0.5) for corners in (3, 4, 12)),
         # one polygon by chance, the other not
