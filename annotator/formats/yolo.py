@@ -386,9 +386,11 @@ def _pictures(
     for place in places:
         pictures = _listed(place, root) if place.is_file() else _images_in(place, root)
         for picture in pictures:
-            path = _labels_of(picture, root).with_suffix(".txt")
+            path = _labels_of(picture, root)
+            if all_labelled and not spelled(path.parent, f"{path.stem}.txt").is_file():
+                path = picture  # beside it, in a folder that is called `images`, too
             # in the Unicode form in which its name exists
-            label_file = _inside(spelled(path.parent, path.name), root)
+            label_file = _inside(spelled(path.parent, f"{path.stem}.txt"), root)
             if label_file in found or (all_labelled and not label_file.is_file()):
                 continue
             if picture.is_file() and picture.suffix.lower() in OTHERS:

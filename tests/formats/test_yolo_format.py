@@ -205,6 +205,13 @@ def polygon(cx: float, cy: float, w: float, h: float, turn: float, corners: int)
     return "0 " + " ".join(f"{cx + w / 2 * np.cos(a):.6f} {cy + h / 2 * np.sin(a):.6f}" for a in angles)
 
 
+def test_labels_may_be_beside_their_images_in_a_folder_that_is_called_images(tmp_path: Path) -> None:
+    put(tmp_path, **{"classes.txt": "a\n", "images/a.txt": "0 0.5 0.5 0.2 0.2\n"})
+    (tmp_path / "images/a.png").touch()
+    (picture,) = read_yolo(tmp_path)
+    assert (picture.file_name, picture.folder.name, len(picture.boxes)) == ("a.png", "images", 1)
+
+
 POINT = "0 0.5 0.5 0.1 0.1 0.48 0.47 0.52 0.53"
 
 
