@@ -205,7 +205,7 @@ def find_sources(path: Path) -> Iterator[SourceOrError]:
 def _below(path: Path, levels: int) -> Iterator[SourceOrError]:
     dataset = other_software_dataset(path)
     if dataset is not None:
-        source = _with_own_labels(path, dataset.layout.opened_as)
+        source = _with_own_labels(path, dataset)
         yield source or dataset
         if source is not None or not dataset.layout.is_recording:
             return
@@ -224,12 +224,16 @@ def _below(path: Path, levels: int) -> Iterator[SourceOrError]:
             yield from _below(child, levels - 1)
 
 
-def _with_own_labels(path: Path, opened_as: str | None) -> Source | None:
-    """Returns the recording of a format whose own labels a dataset has, so that its boxes can be checked."""
+def _with_own_labels(path: Path, dataset: OtherSoftwareDataset) -> Source | None:
+    """Returns the recording whose own labels the sound dataset holds, so that its boxes can be checked."""
+    faults: list[FormatError] = []
     with suppress(AnnotatorError):
-        source = _open(path) if opened_as is not None else None
-        if source is not None and source.recording.format == opened_as and source.has_labels:
-            return source
+        source = None if dataset.layout.opened_as is None else _open(path)
+        if source is not None and source.recording.format == dataset.layout.opened_as and source.has_labels:
+            # labels of frames that the recording does not have are read only here
+            for _ in dataset.frames(faults.append):
+                pass
+            return None if faults else source
     return None
 
 

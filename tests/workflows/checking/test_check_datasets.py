@@ -308,6 +308,17 @@ def exported(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+def test_a_broken_label_without_a_cloud_is_found(generated: Path, tmp_path: Path) -> None:
+    root = str(tmp_path / "projects")
+    assert main(["new", "hands", "--classes", "hand", "--projects", root]) == 0
+    assert main(["add", "hands", str(generated / "hands"), "--projects", root]) == 0
+    assert main(["export", "hands", str(tmp_path / "out"), "--format", "labelcloud", "--projects", root]) == 0
+    assert found(tmp_path / "out") == []
+    (tmp_path / "out/labels/orphan.json").write_text("{")
+    findings = check_datasets(tmp_path / "out").findings
+    assert [Path(f.file).name for f in findings if f.severity is Severity.ERROR] == ["orphan.json"]
+
+
 def test_errors_in_rcv_datasets_are_found(exported: Path, tmp_path: Path) -> None:
     assert found(exported) == []
     own = Path(shutil.copytree(exported, tmp_path / "own"))
