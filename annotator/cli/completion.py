@@ -49,4 +49,9 @@ def _app() -> SubcommandApp:
     for name, command in COMMANDS.items():
         group, _, member = name.partition(" ")
         (groups[group] if member else app).command(name=member or name, help=command.summary)(with_help(load(command)))
+    # main.py handles `help`; these subcommands only complete its arguments
+    explained = SubcommandApp()
+    app.command(explained, name="help", help="explain a command")
+    for word in dict.fromkeys(name.partition(" ")[0] for name in COMMANDS):
+        explained.command(name=word)(lambda: None)
     return app

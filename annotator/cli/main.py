@@ -119,6 +119,14 @@ HELP_FLAGS = ("-h", "--help")
 NO_DEFAULT = ("None", "False", "")
 
 
+# Options of earlier versions, and what to write instead.
+GONE = {
+    "lift --rename": "write --classes NAME=CLASS,NAME=CLASS",
+    "check --project": "write annotator check NAME",
+    "annotate --coarse": "set coarse_box in the file of --config",
+}
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command line and returns the exit code: 0 done, 1 failed, 2 unusable input, 130 interrupted.
 
@@ -170,7 +178,13 @@ def _dispatch(words: list[str]) -> int:
     command = COMMANDS.get(name)
     if command is None:
         raise _unknown_command(name)
-    _refuse_repeated_options(_options(words[length:]))
+    options = _options(words[length:])
+    for option in options:
+        if instead := GONE.get(f"{name} {option}"):
+            from annotator.types.errors import ConfigError
+
+            raise ConfigError(f"annotator {name} has no {option} any more; {instead}")
+    _refuse_repeated_options(options)
     return _run(name, command, words[length:])
 
 

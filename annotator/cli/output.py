@@ -47,9 +47,13 @@ def print_result(result: BaseModel, lines: Iterable[str], as_json: bool) -> None
     print_lines([result.model_dump_json()] if as_json else lines)
 
 
-def progress_bar() -> Progress:
-    """A bar with counts, elapsed and remaining time, on standard error."""
-    return Progress(
+@contextmanager
+def progress_bar() -> Iterator[Progress]:
+    """A bar with counts, elapsed and remaining time, on standard error.
+
+    If an error ends the work, the bar is removed, so that only the message remains; after an interrupt it stays.
+    """
+    bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
@@ -60,6 +64,16 @@ def progress_bar() -> Progress:
         TextColumn("{task.fields[note]}"),
         console=Console(stderr=True),
     )
+    bar.start()
+    try:
+        yield bar
+    except Exception:
+        bar.live.transient = True
+        bar.live.stop()  # bar.stop() would leave an empty line where there is no terminal
+        raise
+    finally:
+        if bar.live.is_started:
+            bar.stop()
 
 
 @contextmanager

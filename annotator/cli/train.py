@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +17,7 @@ from annotator.detection.training import TrainingProgress
 from annotator.project import Project
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError
-from annotator.types.messages import amount, first_problem
+from annotator.types.messages import amount
 from annotator.workflows.training import train as training
 from annotator.workflows.training.held_out import Decision, measured_ious
 from annotator.workflows.training.samples import SampleConfig
@@ -62,18 +63,11 @@ def run(
         raise ConfigError(f"--minutes must be above 0 and at most {MOST_MINUTES}, not {minutes}")
     start = weights if weights in ("auto", "never") else Path(weights)
     shared = {"model": model, "pretrained": start, "seed": seed}
-    on_images = {"epochs": image_epochs, "image_size_px": image_size, **shared}
-    try:
-        plan = training.TrainPlan(
-            image=_with(training.image_defaults(minutes), on_images),
-            view=_with(training.VIEW_DEFAULTS, {"epochs": epochs, "image_size_px": size, **shared}),
-            samples=SampleConfig(views=views, seed=seed),
-            minutes=minutes,
-        )
-    except ValidationError as error:
-        raise ConfigError(
-            f"options of the training: {first_problem(error)}, not {error.errors()[0]['input']}"
-        ) from error
+    with _errors_by_option(epochs="--image-epochs", image_size_px="--image-size"):
+        image = _with(training.image_defaults(minutes), {"epochs": image_epochs, "image_size_px": image_size, **shared})
+    with _errors_by_option(image_size_px="--size"):
+        view = _with(training.VIEW_DEFAULTS, {"epochs": epochs, "image_size_px": size, **shared})
+        plan = training.TrainPlan(image, view, SampleConfig(views=views, seed=seed), minutes=minutes)
     roles = (DetectorKind.IMAGE, DetectorKind.VIEW) if only is None else (only,)
     with progress_bar() as bar:
         tasks = {role: bar.add_task(f"{role} detector", total=None, note="") for role in roles}
@@ -92,6 +86,22 @@ def _with(config: TrainingConfig, changes: Mapping[str, object]) -> TrainingConf
     """A checked copy with the settings that are not None."""
     given = {name: value for name, value in changes.items() if value is not None}
     return TrainingConfig.model_validate(config.model_dump() | given)
+
+
+@contextmanager
+def _errors_by_option(**options: str) -> Iterator[None]:
+    """Turns validation errors into errors that name the command line's option.
+
+    Args:
+        options: those that are not called like the setting.
+    """
+    try:
+        yield
+    except ValidationError as error:
+        problem = error.errors()[0]
+        setting, allowed = str(problem["loc"][0]), problem["msg"].replace("Input should be", "must be")
+        option = (options | {"pretrained": "--weights"}).get(setting, f"--{setting}")
+        raise ConfigError(f"{option} {allowed}, not {problem['input']}") from error
 
 
 def _decision_lines(decision: Decision) -> list[str]:

@@ -3,8 +3,8 @@
 It follows the devkit's program (devkit_object, `cpp/evaluate_object.cpp`) exactly, including the order in which boxes
 are matched, and gives the same numbers.
 
-The greedy assignment of detections to true boxes is done for all score thresholds at once: a threshold only removes
-detections, so the order in which a true box prefers the others is the same.
+The greedy assignment of detections to true boxes is done for all frames and all score thresholds at once. Frames are
+independent, and a threshold only removes detections, so the order in which a true box prefers the others is the same.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from annotator.geometry.outline import rectangle_intersection_pairs
 def assign(
     truth: Int[np.ndarray, "p"],
     detection: Int[np.ndarray, "p"],
-    truths: int,
+    frames: Int[np.ndarray, "g"],
     detections: int,
     preference: Sequence[Shaped[np.ndarray, "p"]],
     usable: Bool[np.ndarray, "p t"],
@@ -33,7 +33,8 @@ def assign(
     Args:
         truth, detection: row indices of the pairs that overlap enough, from 0. The true rows of a frame are processed
             in the order of their indices.
-        truths, detections: number of true rows and of detections.
+        frames: frame of each true row.
+        detections: number of detections.
         preference: sort keys of each true row's candidates, smallest first; the first array is the primary key.
         usable: whether the pair's detection passes each threshold.
 
@@ -42,8 +43,13 @@ def assign(
     """
     columns = usable.shape[1]
     pair = np.zeros((len(truth), columns), bool)
-    served, taken = np.zeros((truths, columns), bool), np.zeros((detections, columns), bool)
-    for step in np.lexsort((*reversed(preference), truth)):
+    served, taken = np.zeros((len(frames), columns), bool), np.zeros((detections, columns), bool)
+    order = np.lexsort((*reversed(preference), truth, frames[truth]))
+    frame = frames[truth[order]]
+    # the first pair of every frame, then the second one, and so on: no box occurs twice in a step
+    place = np.arange(len(order)) - np.searchsorted(frame, frame)
+    by_place = order[np.argsort(place, kind="stable")]
+    for step in np.split(by_place, np.cumsum(np.bincount(place))[:-1]):
         row, candidate = truth[step], detection[step]
         pair[step] = assigned = usable[step] & ~served[row] & ~taken[candidate]
         served[row] |= assigned
@@ -286,7 +292,7 @@ class _ClassEvaluation:
         rows, columns, iou = rows[enough], columns[enough], iou[enough]
         score, right = self.detections.score[rows], counts[columns] & valid[rows]
         # first pass, without a threshold: prefer the highest score, including small detections of any class
-        sides = (columns, rows, len(self.truth), len(self.detections))
+        sides = (columns, rows, self.truth.frame, len(self.detections))
         chosen, _, _ = assign(*sides, (-score, rows), (score > NO_DETECTION)[:, None])
         scores, objects = score[chosen[:, 0] & right], int(counts.sum())
         thresholds = score_thresholds(scores, objects)

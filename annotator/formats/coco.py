@@ -154,7 +154,13 @@ def _refuse_corners(path: Path, annotations: Iterable[_Annotation], images: Mapp
 
 
 def _area_px(annotation: _Annotation) -> float:
-    """Returns the area that the box must have: `area`, without a segmentation; NaN if nothing says it."""
+    """Returns the area that the box must have, as something else than the box says it; NaN if nothing does.
+
+    It is that of the rectangle around the polygons; without a segmentation, it is `area`.
+    """
+    corners = np.array([value for polygon in _polygons(annotation.segmentation) for value in polygon]).reshape(-1, 2)
+    if len(corners):
+        return float(np.prod(np.ptp(corners, axis=0)))
     if annotation.segmentation or not isinstance(annotation.area, int | float):
         return math.nan
     return float(max(0, min(annotation.area, LARGEST**2)))

@@ -172,7 +172,7 @@ def read_nuscenes(path: Path, on_fault: reading.OnFault = reading.raise_fault) -
             with reading.reported(on_fault), reading.faults(folder / ANNOTATIONS, what):
                 box = truth.box.transformed(T_camera_global)
                 # an export has one camera, which has all boxes
-                if names.frames or (len(K) and is_seen(box, K, row.width, row.height)):
+                if stem in names.frames or (len(K) and is_seen(box, K, row.width, row.height)):
                     found.append(replace(truth, box=box))
         # without map coordinates, the camera is the origin
         is_placed = stem in names.frames and T_global_camera.translation.any()

@@ -20,7 +20,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, Detector, ply
-from annotator.formats.frame_names import LabelledFrame, in_world
+from annotator.formats.frame_names import LabelledFrame, add_once, in_world
 from annotator.formats.reading import BoundedTrack, SaidRecord, faults, read_model
 from annotator.geometry.transforms import corners_4x8
 from annotator.image_bytes import JPEG_QUALITY
@@ -437,7 +437,8 @@ def labelled_frames(path: Path) -> dict[str, LabelledFrame]:
     for index in range(len(dataset)):
         name, labels, values, pose = dataset.named_labels(index)
         states = tuple(each.state for each in labels)
-        frames[name] = LabelledFrame([truth_of(each) for each in labels], in_world(pose), states, values)
+        frame = LabelledFrame([truth_of(each) for each in labels], in_world(pose), states, values)
+        add_once(frames, dataset.label_path(index), name, frame)
     return frames
 
 

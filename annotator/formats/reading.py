@@ -236,8 +236,9 @@ def text_files(path: Path, *within: str) -> Iterator[tuple[str, Path, str]]:
     elif _is_archive(path):
         try:
             with open_file(path) as opened, open_archive(opened) as archive:
-                names = {PurePosixPath(each): each for each in archive.namelist() if not each.endswith("/")}
-                members = list(filter(_is_wanted, names))
+                # an archive may have several files of one name
+                every = [(PurePosixPath(each), each) for each in archive.namelist() if not each.endswith("/")]
+                names, members = dict(every), [member for member, _ in every if _is_wanted(member)]
                 for key, member in _by_key(path, [each for each in members if each.parent.name in within] or members):
                     with archive.open(names[member]) as stream:
                         # the size that an archive declares may be wrong

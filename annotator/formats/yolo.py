@@ -60,6 +60,10 @@ POINT_NUMBERS, VISIBILITIES = (2, 3), (0, 1, 2)
 # Distance of a box's size, read as a place, from its centre and points, of which there is one, or several; in sides of
 # the rectangle around these. Triangles may be thin.
 FAR = (6, 1)
+# Rows that show that their boxes are full of points; a single polygon may do so by chance.
+LEAST_FULL = 2
+# Share of each side of such a box that its points cover, and distance of the box's centre from the edges of the points.
+FULL, INNER = 0.5, 0.05
 
 
 def dump_boxes(boxes: Sequence[Box2D], numbers: Mapping[str, int], width_px: int, height_px: int) -> str:
@@ -152,7 +156,7 @@ def are_keypoints(boxes: Iterable[YoloBox]) -> bool:
 
     All rows must have the same number of points, and their first four numbers must be a box that holds all points
     behind it. Small polygons may look so, too. But a polygon's second corner is near the others, where the second pair
-    of a box is its size.
+    of a box is its size; and a polygon's first corner is seldom in the middle of the others.
     """
     rows = [box.corners for box in boxes if box.corners]
     if len(set(map(len, rows))) != 1:
@@ -181,7 +185,10 @@ def _are_keypoints(rows: Float64[np.ndarray, "n c"], numbers: int) -> bool:
     first, last = np.minimum(xy.min(axis=1), centers[:, 0]), np.maximum(xy.max(axis=1), centers[:, 0])
     beside = np.maximum(first - sizes[:, 0], sizes[:, 0] - last).max(axis=1)
     is_far = (beside > FAR[xy.shape[1] > 1] * (last - first).max(axis=1)) & ~missing.all(axis=1)
-    return bool(is_far.mean() > 0.5)
+    sides, inner = xy.max(axis=1) - xy.min(axis=1), centers[:, 0]
+    is_inner = (inner > xy.min(axis=1) + INNER * sides) & (inner < xy.max(axis=1) - INNER * sides)
+    is_full = (is_inner & (sides >= FULL * sizes[:, 0])).all(axis=1)
+    return bool(is_far.mean() > 0.5 or (len(rows) >= LEAST_FULL and is_full.mean() > 0.5))
 
 
 PARTS = ("train", "val", "test")
@@ -376,9 +383,11 @@ def _pictures(
     for place in places:
         pictures = _listed(place, root) if place.is_file() else _images_in(place, root)
         for picture in pictures:
-            path = _labels_of(picture, root).with_suffix(".txt")
+            path = _labels_of(picture, root)
+            if all_labelled and not spelled(path.parent, f"{path.stem}.txt").is_file():
+                path = picture  # beside it, in a folder that is called `images`, too
             # in the Unicode form in which its name exists
-            label_file = _inside(spelled(path.parent, path.name), root)
+            label_file = _inside(spelled(path.parent, f"{path.stem}.txt"), root)
             if label_file in found or (all_labelled and not label_file.is_file()):
                 continue
             if picture.is_file() and picture.suffix.lower() in OTHERS:

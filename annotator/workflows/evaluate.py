@@ -6,8 +6,9 @@ By a benchmark's protocol, or against the truth beside the project's recordings.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -154,11 +155,14 @@ def _require(names: Iterable[str], files: Mapping[str, object], path: Path, what
         )
 
 
+# from `truncated` to `rotation_y`
+NUMBERS = attrgetter(*(field.name for field in fields(KittiLabel)[1:15]))
+
+
 def kitti_rows(frames: Sequence[Sequence[KittiLabel]]) -> KittiRows:
     """Returns rows by frame as columns; frames are numbered from 0."""
     rows = [row for each in frames for row in each]
-    # the fields from `truncated` to `rotation_y`
-    numbers = [(*astuple(row)[1:15], _score(row.score)) for row in rows]
+    numbers = [(*NUMBERS(row), _score(row.score)) for row in rows]
     frame = np.repeat(np.arange(len(frames)), list(map(len, frames)))
     labels = np.array([row.label for row in rows], np.str_)
     return KittiRows.from_table(frame, labels, np.array(numbers, np.float64).reshape(-1, 15))

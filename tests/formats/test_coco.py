@@ -168,15 +168,18 @@ def areas(rows: np.ndarray, *, as_corners: bool = False) -> list[float]:
         pytest.param(NEAR, areas(NEAR), False, id="near"),
     ],
 )
+@pytest.mark.parametrize("said", ["area", "polygon"])
 def test_corners_in_place_of_sizes_are_refused(
-    tmp_path: Path, rows: np.ndarray, area: list[float] | None, are_corners: bool
+    tmp_path: Path, rows: np.ndarray, area: list[float] | None, are_corners: bool, said: str
 ) -> None:
     annotations = [
         {"id": number, "image_id": 1, "category_id": 1, "bbox": row, "segmentation": []}
         for number, row in enumerate(rows.tolist())
     ]
     for entry, px in zip(annotations, area or (), strict=False):
-        entry |= {"area": px}
+        # a lozenge in a rectangle of this area
+        lozenge = {"segmentation": [[50, 0, 100, px / 200, 50, px / 100, 0, px / 200]], "area": px / 2}
+        entry |= lozenge if said == "polygon" else {"area": px}
     images = [{"id": 1, "file_name": "a.png", "width": SHOWN[0], "height": SHOWN[1]}]
     path = put(tmp_path, {"images": images, "annotations": annotations, "categories": [{"id": 1, "name": "a"}]})
     if are_corners:

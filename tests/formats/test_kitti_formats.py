@@ -156,9 +156,13 @@ def test_unusable_folders_and_archives_are_errors(tmp_path: Path) -> None:
     (tmp_path / "cut.zip").write_bytes(archive_of(tmp_path / "b.zip", {"1.txt": RESULT * 99}).read_bytes()[:-30])
     archive_of(tmp_path / "empty.zip", {"x.md": ""})
     archive_of(tmp_path / "twice.zip", {"a/1.txt": "", "b/1.txt": ""})
+    archive_of(tmp_path / "same.zip", {"a/1.txt": RESULT})
+    with zipfile.ZipFile(tmp_path / "same.zip", "a") as archive, pytest.warns(UserWarning, match="Duplicate name"):
+        archive.writestr("a/1.txt", RESULT)
     neither = "is neither a folder"
     for name, problem in {
-        "file.txt": neither, "cut.zip": neither, "empty.zip": "has no .txt", "twice.zip": "two files called 1.txt"
+        "file.txt": neither, "cut.zip": neither, "empty.zip": "has no .txt", "twice.zip": "two files called 1.txt",
+        "same.zip": "two files called 1.txt",
     }.items():  # fmt: skip
         with pytest.raises(FormatError, match=problem):
             read_kitti_folder(tmp_path / name, scored=True)

@@ -14,7 +14,7 @@ import pytest
 from dataset_samples import make_box, make_label, write
 
 from annotator.formats.dataset_writing import DatasetItem, Detector
-from annotator.formats.rcv import COMMON, RcvManifest, read_rcv
+from annotator.formats.rcv import COMMON, RcvManifest, labelled_frames, read_rcv
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source, Suggestion
 from annotator.types.errors import FormatError
@@ -142,3 +142,11 @@ def test_errors_of_a_broken_dataset_name_the_place(
     edit(out / file, **changes)
     with pytest.raises(FormatError, match=re.escape(says)):
         read_rcv(out).named_labels(0)[1]
+
+
+def test_a_frame_that_occurs_twice_is_refused(tmp_path: Path) -> None:
+    items = [DatasetItem("rec", make_frame(key), [auto_label()]) for key in ("a", "b")]
+    _, second = export(tmp_path / "out", items).frames
+    edit(tmp_path / f"out/labels/{second}.json", key="a", objects=[])
+    with pytest.raises(FormatError, match="the frame rec/a has labels twice"):
+        labelled_frames(tmp_path / "out")

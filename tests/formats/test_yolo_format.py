@@ -205,6 +205,13 @@ def polygon(cx: float, cy: float, w: float, h: float, turn: float, corners: int)
     return "0 " + " ".join(f"{cx + w / 2 * np.cos(a):.6f} {cy + h / 2 * np.sin(a):.6f}" for a in angles)
 
 
+def test_labels_may_be_beside_their_images_in_a_folder_that_is_called_images(tmp_path: Path) -> None:
+    put(tmp_path, **{"classes.txt": "a\n", "images/a.txt": "0 0.5 0.5 0.2 0.2\n"})
+    (tmp_path / "images/a.png").touch()
+    (picture,) = read_yolo(tmp_path)
+    assert (picture.file_name, picture.folder.name, len(picture.boxes)) == ("a.png", "images", 1)
+
+
 POINT = "0 0.5 0.5 0.1 0.1 0.48 0.47 0.52 0.53"
 
 
@@ -214,8 +221,9 @@ POINT = "0 0.5 0.5 0.1 0.1 0.48 0.47 0.52 0.53"
         ([POINT], True),
         (["0 0.5 0.5 0.1 0.1 0.48 0.47 0 0"], True),  # one is missing
         (["0 0.5 0.5 0.1 0.1 0.48 0.47 2 0.52 0.53 1"], True),
-        # boxes with four points each
+        # boxes with four points each, in the middle and where sizes are as large as places
         ([f"0 0.5 0.5 0.1 0.05 {polygon(0.5, 0.5, 0.09, 0.045, 0.4, 4)[2:]}"] * 2, True),
+        ([f"0 {x} 0.11 0.1 0.1 {polygon(x, 0.11, 0.09, 0.09, 0.4, 4)[2:]}" for x in (0.1, 0.12, 0.11)], True),
         # small polygons in the upper left hold their points, read as boxes
         *(([polygon(0.5, 0.5, w, 0.9 * w, 0.4, corners)], False) for w in (0.05, 0.5) for corners in (3, 4, 12)),
         # one polygon by chance, the other not

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
+from annotator.files import read_file
 from annotator.formats import sustechpoints
 from annotator.formats.frame_names import has_frames
 from annotator.formats.kitti_folders import IMAGE_SETS
@@ -23,7 +24,7 @@ from annotator.formats.openlabel import is_document
 from annotator.formats.rcv import FOLDERS, MANIFEST, SPLITS, RcvDataset, read_rcv
 from annotator.formats.reading import OnFault, text_rows
 from annotator.formats.table import FORMATS, AnyFormat, BoxFormat, FlatFormat, format_of
-from annotator.formats.yolo import CLASSES, DATA_YAML
+from annotator.formats.yolo import CLASSES, DATA_YAML, SUFFIXES
 from annotator.recordings import Recording, open_recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.kitti import KittiObject
@@ -62,8 +63,8 @@ class Layout(NamedTuple):
 
 # labelCloud's labels, without `_classes.json`
 JSON_OF_CLOUDS = f"{LABELS}/[!_]*.json"
-# with clouds or classes beside them; YOLO's label files in a folder of their own, or beside `classes.txt`
-LABELCLOUD, YOLO = (CLOUDS, f"{LABELS}/{CLASSES_FILE}"), ("labels/*.txt", "[!c]*.txt")
+# with clouds or classes beside them
+LABELCLOUD = (CLOUDS, f"{LABELS}/{CLASSES_FILE}")
 LAYOUTS = (
     Layout(BoxFormat.NUSCENES, "nuScenes tables", ("v1.0-*/sample_annotation.json",), is_recording=False),
     *(
@@ -72,9 +73,8 @@ LAYOUTS = (
     ),
     Layout(BoxFormat.SUSTECHPOINTS, "SUSTechPOINTS labels", (sustechpoints.CLOUDS, f"{sustechpoints.LABELS}/*.json")),
     Layout(FlatFormat.COCO, "COCO boxes", FORMATS[FlatFormat.COCO].marks),
-    Layout(FlatFormat.YOLO, "YOLO boxes", (DATA_YAML,)),
-    *(Layout(FlatFormat.YOLO, "YOLO boxes", (CLASSES, files)) for files in YOLO),
 )
+OF_YOLO = Layout(FlatFormat.YOLO, "YOLO boxes")
 DOCUMENTS = Layout(BoxFormat.OPENLABEL, "OpenLABEL documents", is_recording=False, opened_as="openlabel")
 
 
@@ -102,7 +102,21 @@ def other_software_dataset(path: Path) -> OtherSoftwareDataset | None:
         return None
     found = (each for each in LAYOUTS if all(next(path.glob(file), None) is not None for file in each.files))
     layout = DOCUMENTS if any(map(is_document, path.glob("*.json"))) else next(found, None)
+    layout = OF_YOLO if layout is None and _is_yolo(path) else layout
     return None if layout is None else OtherSoftwareDataset(path, layout)
+
+
+def _is_yolo(path: Path) -> bool:
+    """True for Ultralytics' `data.yaml`, or `classes.txt` with labels in `labels` or beside images of the same name."""
+    if (path / DATA_YAML).is_file():
+        with suppress(OSError):
+            return b"names:" in read_file(path / DATA_YAML)
+    if not (path / CLASSES).is_file():
+        return False
+    if any(file.name != CLASSES for file in (path / "labels").glob("*.txt")):
+        return True
+    pictures = {normal(file.stem) for file in path.iterdir() if file.suffix.lower() in SUFFIXES}
+    return any(normal(file.stem) in pictures for file in path.glob("*.txt"))
 
 
 def labels_alone(path: Path) -> OtherSoftwareDataset | None:
@@ -191,7 +205,7 @@ def find_sources(path: Path) -> Iterator[SourceOrError]:
 def _below(path: Path, levels: int) -> Iterator[SourceOrError]:
     dataset = other_software_dataset(path)
     if dataset is not None:
-        source = _with_own_labels(path, dataset.layout.opened_as)
+        source = _with_own_labels(path, dataset)
         yield source or dataset
         if source is not None or not dataset.layout.is_recording:
             return
@@ -210,12 +224,16 @@ def _below(path: Path, levels: int) -> Iterator[SourceOrError]:
             yield from _below(child, levels - 1)
 
 
-def _with_own_labels(path: Path, opened_as: str | None) -> Source | None:
-    """Returns the recording of a format whose own labels a dataset has, so that its boxes can be checked."""
+def _with_own_labels(path: Path, dataset: OtherSoftwareDataset) -> Source | None:
+    """Returns the recording whose own labels the sound dataset holds, so that its boxes can be checked."""
+    faults: list[FormatError] = []
     with suppress(AnnotatorError):
-        source = _open(path) if opened_as is not None else None
-        if source is not None and source.recording.format == opened_as and source.has_labels:
-            return source
+        source = None if dataset.layout.opened_as is None else _open(path)
+        if source is not None and source.recording.format == dataset.layout.opened_as and source.has_labels:
+            # labels of frames that the recording does not have are read only here
+            for _ in dataset.frames(faults.append):
+                pass
+            return None if faults else source
     return None
 
 
