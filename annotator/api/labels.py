@@ -22,7 +22,7 @@ from annotator.geometry.outline import heading_px
 from annotator.geometry.projection import project
 from annotator.recordings import Recording
 from annotator.synthetic import write_generated
-from annotator.types import Box2D, BoxKind, Frame, Label, OrientedBox, Proposal, Truth
+from annotator.types import Box2D, BoxKind, Frame, OrientedBox, Proposal, Truth
 from annotator.types.errors import ArgumentError
 from annotator.workflows.evaluate import Options, Protocol, box_table, scored_box
 from annotator.workflows.evaluate import evaluate_files as evaluate_protocol
@@ -30,7 +30,7 @@ from annotator.workflows.importing import readers
 from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.recorded.reading import load_truth
 
-Boxes = Mapping[str, Sequence[Truth | Label | Proposal]]
+Boxes = Mapping[str, Sequence[Truth | Proposal]]
 """The boxes of each frame, by the frame's key."""
 
 
@@ -188,7 +188,7 @@ FARTHEST_PX = 1e5
 
 
 def draw_boxes(
-    frame: Frame, boxes: Sequence[Proposal | Label | Truth | OrientedBox | Box2D], thickness_px: int = 2
+    frame: Frame, boxes: Sequence[Proposal | Truth | OrientedBox | Box2D], thickness_px: int = 2
 ) -> UInt8[np.ndarray, "h w 3"]:
     """The frame's image (RGB) with boxes drawn on it: 3D boxes green, with an arrow along the heading; 2D boxes red.
 

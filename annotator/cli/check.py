@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -58,26 +58,20 @@ def _check_project(folder: Path, list_all: bool, as_json: bool) -> int:
     unread = amount(len(report.unreadable), "recording or frame", "recordings or frames")
     summary = f"{amount(len(report.warnings), 'warning')}; {amount(report.labels, 'label')} checked"
     summary += f"; {unread} could not be read" if report.unreadable else ""
-    shown = _grouped(lines, Counter(kind for kind, _ in lines), list_all)
-    print_result(report, (*shown, summary), as_json)
+    print_result(report, (*_grouped(lines, list_all), summary), as_json)
     return FAULTY if report.unreadable else 0
 
 
-def _grouped(lines: Sequence[tuple[str, str]], totals: Mapping[str, int], list_all: bool) -> Iterator[str]:
-    """Yields the first lines of each kind, in their order, and how many more there are.
-
-    Args:
-        lines: the kind and the text of each.
-        totals: number of findings of each kind.
-    """
-    printed: Counter[str] = Counter()
+def _grouped(lines: Sequence[tuple[str, str]], list_all: bool) -> Iterator[str]:
+    """Yields the first lines of each kind, in their order, and how many more there are; lines are kind and text."""
+    seen: Counter[str] = Counter()
     for kind, line in lines:
-        if list_all or printed[kind] < MOST_OF_A_KIND:
+        seen[kind] += 1
+        if list_all or seen[kind] <= MOST_OF_A_KIND:
             yield line
-            printed[kind] += 1
-    for kind, total in totals.items():
-        if not list_all and total > printed[kind]:
-            yield f"{kind}: {total - printed[kind]} more like these; --all lists them"
+    for kind, total in sorted(seen.items()):
+        if not list_all and total > MOST_OF_A_KIND:
+            yield f"{kind}: {total - MOST_OF_A_KIND} more like these; --all lists them"
 
 
 def _check_dataset(path: Path, list_all: bool, as_json: bool) -> int:
@@ -87,7 +81,7 @@ def _check_dataset(path: Path, list_all: bool, as_json: bool) -> int:
     with counted("checking") as progress:
         report = check_datasets(path, progress)
     found = [(f.rule, f"{f.place}: {f.severity} {f.rule}: {f.message}") for f in report.findings]
-    lines = [*_grouped(found, report.by_rule, list_all)]
+    lines = [*_grouped(found, list_all)]
     for each in report.datasets:
         only = "" if each.labels else ", so only its files were checked"
         counts = f"{amount(each.frames, 'frame')}, {amount(each.labels, 'label')}"

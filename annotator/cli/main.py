@@ -119,14 +119,6 @@ HELP_FLAGS = ("-h", "--help")
 NO_DEFAULT = ("None", "False", "")
 
 
-# Options of earlier versions, and what to write instead.
-GONE = {
-    "lift --rename": "write --classes NAME=CLASS,NAME=CLASS",
-    "check --project": "write annotator check NAME",
-    "annotate --coarse": "set coarse_box in the file of --config",
-}
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command line and returns the exit code: 0 done, 1 failed, 2 unusable input, 130 interrupted.
 
@@ -172,30 +164,28 @@ def _dispatch(words: list[str]) -> int:
     if words[0] in GROUPS and (len(words) == 1 or words[1] in HELP_FLAGS):
         sys.stdout.write(_group_help(words[0]))
         return 0 if len(words) > 1 else USAGE_ERROR
-    words = _in_order(words)
     length = 2 if words[0] in GROUPS else 1
-    name = " ".join(words[:length])
-    command = COMMANDS.get(name)
-    if command is None:
-        raise _unknown_command(name)
-    options = _options(words[length:])
+    name, rest = " ".join(words[:length]), words[length:]
+    if name not in COMMANDS:
+        raise _unusable(_unknown_command(name))
+    before = rest[: rest.index("--") if "--" in rest else None]
+    options = [word.partition("=")[0] for word in before if word.startswith("--")]
     for option in options:
-        if instead := GONE.get(f"{name} {option}"):
-            from annotator.types.errors import ConfigError
+        # tyro would use the last one only, and not say so
+        if options.count(option) > 1:
+            raise _unusable(f"{option} is given twice; give it once, with all its values: {option} A B")
+    import tyro
 
-            raise ConfigError(f"annotator {name} has no {option} any more; {instead}")
-    _refuse_repeated_options(options)
-    return _run(name, command, words[length:])
+    # tyro itself exits for --help (0) and for an invalid command line (2)
+    command = with_help(load(COMMANDS[name]))
+    result: int | None = tyro.cli(command, prog=f"annotator {name}", args=rest, config=style())
+    return result or 0
 
 
-def _in_order(words: list[str]) -> list[str]:
-    """`classes PROJECT add NAME` as `classes add PROJECT NAME`, and `classes PROJECT` as `classes list PROJECT`."""
-    if words[0] != "classes" or f"classes {words[1]}" in COMMANDS or words[1].startswith("-"):
-        return words
-    is_command = len(words) > 2 and f"classes {words[2]}" in COMMANDS
-    if not is_command and len(words) > 2 and not words[2].startswith("-"):
-        return words  # an unknown command
-    return [words[0], words[2] if is_command else "list", words[1], *words[3 if is_command else 2 :]]
+def _unusable(message: str) -> Exception:
+    from annotator.types.errors import ConfigError
+
+    return ConfigError(message)
 
 
 def _help() -> str:
@@ -217,37 +207,12 @@ def _columns(rows: dict[str, str]) -> str:
     return "\n".join(f"  {name:{width}}  {summary}" for name, summary in rows.items())
 
 
-def _unknown_command(name: str) -> Exception:
-    from annotator.types.errors import ConfigError
-
+def _unknown_command(name: str) -> str:
     group, _, member = name.partition(" ")
     known = [known for known in COMMANDS if not member or known.startswith(f"{group} ")]
     near = get_close_matches(name, known, 1)
     meant = f"did you mean {near[0]!r}?" if near else f"the commands are {', '.join(known)}"
-    return ConfigError(f"unknown command {name!r}; {meant}")
-
-
-def _options(words: list[str]) -> list[str]:
-    """The names of the options among the words before a bare `--`."""
-    before = words[: words.index("--") if "--" in words else None]
-    return [word.partition("=")[0] for word in before if word.startswith("--")]
-
-
-def _refuse_repeated_options(options: list[str]) -> None:
-    """Refuses an option that is given twice: tyro would use the last one only, and not say so."""
-    for option in options:
-        if options.count(option) > 1:
-            from annotator.types.errors import ConfigError
-
-            raise ConfigError(f"{option} is given twice; give it once, with all its values: {option} A B")
-
-
-def _run(name: str, command: Command, words: list[str]) -> int:
-    import tyro
-
-    # tyro itself exits for --help (0) and for an invalid command line (2)
-    result = tyro.cli(with_help(load(command)), prog=f"annotator {name}", args=words, config=style())
-    return result or 0
+    return f"unknown command {name!r}; {meant}"
 
 
 def load(command: Command) -> Callable[..., int | None]:

@@ -16,7 +16,6 @@ import uuid
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -366,9 +365,7 @@ class _Reader:
         if box.system == sensor:
             return box.truth
         with faults(self._path, f"{box.place}: "):
-            T = coordinates.transform(sensor, box.system)
-            said = tuple(each.transformed(T) for each in box.truth.said)
-            return replace(box.truth, box=box.truth.box.transformed(T), said=said)
+            return box.truth.transformed(coordinates.transform(sensor, box.system))
 
 
 def _track(attribute: AttributeValue | None, uid: str) -> int | None:

@@ -292,19 +292,19 @@ def certainty(said: SaidRecord) -> tuple[float, bool]:
 @lru_cache(maxsize=2048)
 def _stored_label(row: AnyRow, behind: tuple[AnyRow, ...], frame_id: int, names: Names, place: Place) -> StoredLabel:
     label = Label(
-        row.uid,
         row.label,
         box_of(row.box, place),
-        row.score,
-        Source(row.source),
-        ReviewState(row.state),
-        row.author,
-        row.time_ns,
         row.track_id,
-        None if row.state == ReviewState.EDITED else row.expected_iou_loss,
-        suggestion_of(row.suggestion),
-        BoxKind(row.box_kind),
-        values_of(row.attributes),
+        row.score,
+        box_kind=BoxKind(row.box_kind),
+        attributes=values_of(row.attributes),
+        uid=row.uid,
+        source=Source(row.source),
+        state=ReviewState(row.state),
+        author=row.author,
+        time_ns=row.time_ns,
+        expected_iou_loss=None if row.state == ReviewState.EDITED else row.expected_iou_loss,
+        suggestion=suggestion_of(row.suggestion),
     )
     return StoredLabel(
         frame_id,

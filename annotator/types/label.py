@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import Self
 
 from scipy.spatial.transform import RigidTransform
 
@@ -82,58 +83,50 @@ class Said:
 
 
 @dataclass(frozen=True, eq=False)
-class Label:
-    """One 3D box of one frame, in its current state.
-
-    Attributes:
-        uid: unique within a project and stable over edits.
-        score: detector confidence in 0..1; None for a box that does not come from a detector.
-        time_ns: time of the last change, nanoseconds since the epoch.
-        track_id: the object's id within the recording; None if unknown.
-        expected_iou_loss: as in `Quality`, of a proposal that nobody edited; None for other boxes.
-        suggestion: the detector that suggested its boxes while the operator drew it, if one did.
-        box_kind: what the box encloses: the whole object, or what is seen of it.
-        attributes: values of its attributes, by name.
-        said: what sources of boxes said of the object; known in exports and their files (see `StoredLabel.said`).
-    """
-
-    uid: str
-    label: str
-    box: OrientedBox
-    score: float | None
-    source: Source
-    state: ReviewState
-    author: str
-    time_ns: int
-    track_id: int | None = None
-    expected_iou_loss: float | None = None
-    suggestion: Suggestion | None = None
-    box_kind: BoxKind = BoxKind.BOX
-    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
-    said: tuple[Said, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
 class Truth:
     """One labelled object from the files of a recording, or from another source.
 
     Attributes:
         track_id: the object's id within the recording; None if unknown.
-        score: as in its file: a confidence in 0..1, or a detector's raw value of any size; None if the file has none.
+        score: as in its file: a confidence in 0..1, or a detector's raw value of any size; None if it has none.
         image_box: the label's own 2D box on the image; None if its file has none.
-        attributes: values of its attributes as in its file, by name.
-        said: what sources of boxes said of the object, as in its file.
+        box_kind: what the box encloses: the whole object, or what is seen of it.
+        attributes: values of its attributes, by name.
+        said: what sources of boxes said of the object, as in its file (see `StoredLabel.said`).
     """
 
     label: str
     box: OrientedBox
     track_id: int | None = None
     score: float | None = None
-    # not compared: formats without 2D boxes give equal objects
-    image_box: Box2D | None = field(default=None, compare=False)
+    image_box: Box2D | None = None
     box_kind: BoxKind = BoxKind.BOX
     attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
     said: tuple[Said, ...] = ()
+
+    def transformed(self, T: RigidTransform) -> Self:
+        """The object, and what was said of it, with the boxes moved by `T`."""
+        return replace(self, box=self.box.transformed(T), said=tuple(each.transformed(T) for each in self.said))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Label(Truth):
+    """One 3D box of one frame, in its current state.
+
+    Attributes:
+        uid: unique within a project and stable over edits.
+        time_ns: time of the last change, nanoseconds since the epoch.
+        expected_iou_loss: as in `Quality`, of a proposal that nobody edited; None for other boxes.
+        suggestion: the detector that suggested its boxes while the operator drew it, if one did.
+    """
+
+    uid: str
+    source: Source
+    state: ReviewState
+    author: str
+    time_ns: int
+    expected_iou_loss: float | None = None
+    suggestion: Suggestion | None = None
 
 
 Matrix3 = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]

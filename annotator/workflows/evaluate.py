@@ -348,7 +348,7 @@ class _Source:
         return [label for label in seen_labels(self._project, self._frames, stored) if label.state in states]
 
 
-def scored_box(label: Label | Truth | Proposal) -> ScoredBox:
+def scored_box(label: Truth | Proposal) -> ScoredBox:
     """Returns the class, the box and the score of a label."""
     return label.label, label.box, _score(label.score)
 

@@ -34,7 +34,7 @@ def test_classes_and_attributes_are_changed_and_listed(cars: Path, run: Run) -> 
         "add cars bus --colour 3366ff --key b",
         "attribute cars pose --kind choice --choices parked,driving --default parked --key p",
         "attribute cars pose --required --classes car,van",
-        "cars rename car auto",
+        "rename cars car auto",
         "attribute cars age --kind integer",
         "order-attributes cars age,pose",
         "remove-attribute cars age",
@@ -65,11 +65,11 @@ def test_classes_and_attributes_are_changed_and_listed(cars: Path, run: Run) -> 
     with open_project(cars) as project:
         (label,) = project.labels.of_frame(1)
         assert (label.label, label.attributes) == ("auto", {"pose": "still"})
-    shown = run("classes cars")
+    shown = run("classes list cars")
     assert "auto  1 label, 0 2D boxes, key a" in shown
     assert "attribute pose: one of still, driving; of auto; required; default still; key p" in shown
     assert "removed pose and 1 value of it" in run("classes remove-attribute cars pose")
-    assert "removed with the class: 1 label and 0 2D boxes of auto" in run("classes cars remove auto --with-boxes")
+    assert "removed with the class: 1 label and 0 2D boxes of auto" in run("classes remove cars auto --with-boxes")
     for words, done in (
         ("", "undone: remove the class auto, by annotator classes"),
         ("", "undone: remove the attribute pose, by annotator classes"),

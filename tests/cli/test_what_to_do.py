@@ -45,7 +45,6 @@ REFUSALS = [
     ("train room --size 5", "--size must be"),
     ("train room --image-size 5", "--image-size must be"),
     ("train room --views -1", "--views must be"),
-    ("lift room --rename car=Car", "annotator lift has no --rename any more; write --classes NAME=CLASS"),
     ("import room", "no labels given; write annotator import room PATH, or --as 2d"),
     ("import room flat.json --pictures p --recording x", "--recording is for boxes on camera images"),
     ("import room flat.json --fraction 0.5", "--fraction and --seed need --as 2d"),

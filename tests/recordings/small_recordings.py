@@ -109,7 +109,7 @@ def exported_items(folder: Path) -> list[DatasetItem]:
         rgbd_folder(Path(place))
         frame = open_recording(Path(place)).frame(0)
     box = OrientedBox.from_parts(np.array([0.0, 0.0, 1.5]), np.eye(3), np.array([0.5, 0.4, 0.3]))
-    label = Label("a", "cup", box, None, Source.MANUAL, ReviewState.ACCEPTED, "me", 0)
+    label = Label("cup", box, uid="a", source=Source.MANUAL, state=ReviewState.ACCEPTED, author="me", time_ns=0)
     return [DatasetItem("take", replace(frame, timestamp_ns=1_500_000_001), [label])]
 
 

@@ -281,7 +281,7 @@ def _spellings(names: set[str]) -> Iterator[list[str]]:
 
 
 class DatasetReport(Strict):
-    """The findings by file and line, and the number of each severity and rule, including those that are not listed."""
+    """The findings by file and line, and the number of each severity, and of each rule that was breached."""
 
     datasets: tuple[DatasetFacts, ...]
     findings: tuple[Finding, ...]
@@ -303,9 +303,10 @@ def check_datasets(path: Path, progress: Progress | None = None) -> DatasetRepor
             facts += _read_other_software(source, findings)
         else:
             findings.add_error(rules.UNREADABLE_DATASET, source[1], source[0])
-    return DatasetReport(
-        datasets=tuple(facts), findings=findings.all(), counts=findings.counts(), by_rule=findings.by_rule()
-    )
+    found = findings.all()
+    counts = dict.fromkeys(Severity, 0) | Counter(each.severity for each in found)
+    by_rule = dict(sorted(Counter(each.rule for each in found).items()))
+    return DatasetReport(datasets=tuple(facts), findings=found, counts=counts, by_rule=by_rule)
 
 
 def _read_other_software(dataset: OtherSoftwareDataset, findings: Findings) -> list[DatasetFacts]:

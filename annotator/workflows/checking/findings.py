@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -119,9 +118,6 @@ CALIBRATION_OFF = _warning("calibration-off", "edges in depth do not lie on edge
 TIME_BACKWARDS = _warning("time-backwards", "in a sequence a frame is not later than the previous one")
 
 
-MOST_A_FILE = 20
-
-
 class Finding(Strict):
     """One finding.
 
@@ -145,57 +141,23 @@ class Finding(Strict):
 
 
 class Findings:
-    """Collects findings: equal ones count once, and `MOST_A_FILE` per rule and file are kept in full."""
+    """Collects findings; equal ones count once."""
 
     def __init__(self) -> None:
-        self._findings: list[Finding] = []
-        # hashes of all findings, which need less memory than their messages
-        self._seen: set[int] = set()
-        self._counts: Counter[tuple[Rule, str]] = Counter()
+        self._found: dict[tuple[Rule, Path, int | None, str], Finding] = {}
 
     def add(self, rule: Rule, file: Path, message: str, *, line: int | None = None, frame: str | None = None) -> None:
         """Adds a breach of a rule."""
+        found = Finding(rule=rule.id, severity=rule.severity, file=str(file), line=line, frame=frame, message=message)
         # without the frame: a shared file is faulty once, not once per frame
-        fingerprint = hash((rule, str(file), line, message))
-        if fingerprint in self._seen:
-            return
-        self._seen.add(fingerprint)
-        self._counts[rule, str(file)] += 1
-        if self._counts[rule, str(file)] <= MOST_A_FILE:
-            self._findings.append(_finding(rule, str(file), message, line, frame))
+        self._found.setdefault((rule, file, line, message), found)
 
     def add_error(self, rule: Rule, error: AnnotatorError, file: Path, *, frame: str | None = None) -> None:
         """Adds an error with its own file and line; `file` is used if it has none."""
-        error_path = getattr(error, "path", None)
-        place = error_path if isinstance(error_path, Path) else file
-        line = getattr(error, "line", None)
-        message = str(error).removeprefix(str(place))
-        message = message.removeprefix(f":{line}").removeprefix(": ")
+        place, line = getattr(error, "path", file), getattr(error, "line", None)
+        message = str(error).removeprefix(str(place)).removeprefix(f":{line}").removeprefix(": ")
         self.add(rule, place, message, line=line, frame=frame)
 
-    def counts(self) -> dict[Severity, int]:
-        """Returns the number of breaches of each severity, including those that are not kept."""
-        return {
-            each: sum(count for (rule, _), count in self._counts.items() if rule.severity is each) for each in Severity
-        }
-
-    def by_rule(self) -> dict[str, int]:
-        """Returns the number of breaches of each rule that was breached, as `counts`."""
-        total: Counter[str] = Counter()
-        for (rule, _), count in self._counts.items():
-            total[rule.id] += count
-        return dict(sorted(total.items()))
-
     def all(self) -> tuple[Finding, ...]:
-        """Returns all findings by file and line; the last row of a file counts those that are not kept."""
-        more = [
-            _finding(rule, file, f"and {count - MOST_A_FILE} more like this in this file")
-            for (rule, file), count in self._counts.items()
-            if count > MOST_A_FILE
-        ]
-        # sorting is stable, so the counts come last
-        return tuple(sorted([*self._findings, *more], key=lambda f: (f.file, f.line is None, f.line or 0)))
-
-
-def _finding(rule: Rule, file: str, message: str, line: int | None = None, frame: str | None = None) -> Finding:
-    return Finding(rule=rule.id, severity=rule.severity, file=file, line=line, frame=frame, message=message)
+        """Returns all findings by file and line."""
+        return tuple(sorted(self._found.values(), key=lambda f: (f.file, f.line is None, f.line or 0)))

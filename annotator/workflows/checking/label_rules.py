@@ -41,7 +41,7 @@ HEADING_JUMP_RAD = float(np.deg2rad(60))
 OVERLAP_IOU = 0.3
 LEAST_POINTS = 5
 
-Boxes = Sequence[Label | Truth]
+Boxes = Sequence[Truth]
 BoxBreach = tuple[int, str]
 """The index of a box in its list, and a message."""
 
@@ -140,7 +140,7 @@ def _sides(size_m: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3"]:
     return np.array([size_m[:2].max(), size_m[:2].min(), size_m[2]])
 
 
-def _predecessor(each: Label | Truth, earlier: Boxes, tracked_only: bool) -> Label | Truth | None:
+def _predecessor(each: Truth, earlier: Boxes, tracked_only: bool) -> Truth | None:
     same = [other for other in earlier if other.label == each.label]
     if each.track_id is not None:
         tracked = next((other for other in same if other.track_id == each.track_id), None)

@@ -240,9 +240,4 @@ def _is_open(state: ReviewState | None) -> bool:
 
 def transformed(truths: Sequence[Truth], T: RigidTransform | None) -> list[Truth]:
     """Returns the objects with their boxes transformed; None: as they are."""
-    if T is None:
-        return list(truths)
-    return [
-        replace(truth, box=truth.box.transformed(T), said=tuple(said.transformed(T) for said in truth.said))
-        for truth in truths
-    ]
+    return [truth if T is None else truth.transformed(T) for truth in truths]
