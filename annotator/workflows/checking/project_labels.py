@@ -19,7 +19,7 @@ import hashlib
 import math
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from enum import StrEnum
 
@@ -36,6 +36,7 @@ from annotator.types.errors import FrameError, RecordingError
 from annotator.types.label import AttributeValue
 from annotator.types.messages import alternatives
 from annotator.workflows.checking import label_rules
+from annotator.workflows.checking.label_rules import BoxBreach
 from annotator.workflows.frame_source import FrameSource, why_gone
 
 # Within the project: data that can be recomputed.
@@ -43,52 +44,51 @@ CACHE = "cache/points_inside.json"
 _COUNTS = TypeAdapter(dict[str, int])
 
 
+CHECKED_STATES = (*REVIEWED, ReviewState.PROPOSED)
+
+
 class PointCounts:
     """Counts points, with a cache on disk, since reading the frames of a project takes minutes.
 
     Attributes:
         unreadable: frames that could not be read, as `key: reason`.
-        unknown: number of frames left out because the time budget was used up.
+        unknown: number of frames left out because the time budget, seconds, was used up.
     """
 
-    def __init__(self, project: Project, budget_s: float | None = None) -> None:
-        """
-        Args:
-            budget_s: time for reading frames, seconds; None = no limit.
-        """
-        self._source, self._path = FrameSource(project), project.path / CACHE
-        self._left_s = math.inf if budget_s is None else budget_s
+    def __init__(self, project: Project, budget_s: float) -> None:
+        self._source, self._path, self._left_s = FrameSource(project), project.path / CACHE, budget_s
         self._cached = self._load()
-        self._is_new = False
+        self._new: dict[str, int] = {}
         self.unreadable: list[str] = []
         self.unknown = 0
 
-    def __call__(self, frame: StoredFrame, boxes: Sequence[OrientedBox]) -> list[int] | None:
-        """Returns the number of points of a frame in each box; None if it cannot be read or the time is used up."""
-        keys = [_key(frame, box) for box in boxes]
-        if any(key not in self._cached for key in keys):
+    def __call__(self, frame: StoredFrame, boxes: Sequence[OrientedBox]) -> list[int]:
+        """Returns the number of points of a frame in each box; none if it cannot be read or the time is used up."""
+        contents = [hashlib.sha256(box.pose.tobytes() + box.size_m.tobytes()).hexdigest()[:16] for box in boxes]
+        keys = [f"{frame.id}:{content}" for content in contents]
+        if not self._cached.keys() >= set(keys):
             if self._left_s <= 0:
                 self.unknown += 1
-                return None
+                return []
             begin = time.perf_counter()
             try:
                 xyz_m = self._source.read(frame).cloud.xyz_m
             except (FrameError, RecordingError) as error:
                 self.unreadable.append(f"{frame.key}: {error}")
-                return None
+                return []
             finally:
                 self._left_s -= time.perf_counter() - begin
-            counts = [int(np.count_nonzero(contains(box, xyz_m))) for box in boxes]
-            self._cached |= dict(zip(keys, counts, strict=True))
-            self._is_new = True
+            counts = (int(np.count_nonzero(contains(box, xyz_m))) for box in boxes)
+            self._new |= dict(zip(keys, counts, strict=True))
+            self._cached |= self._new
         return [self._cached[key] for key in keys]
 
     def save(self) -> None:
         """Saves the new counts. A cache that cannot be written is ignored: points are then counted again."""
-        if self._is_new:
+        if self._new:
             with suppress(OSError):
                 self._path.parent.mkdir(exist_ok=True)
-                write_atomic(self._path, _COUNTS.dump_json(self._load() | self._cached))
+                write_atomic(self._path, _COUNTS.dump_json(self._load() | self._new))
 
     def _load(self) -> dict[str, int]:
         try:
@@ -96,17 +96,6 @@ class PointCounts:
         except (OSError, ValidationError):
             # missing or damaged: counted again
             return {}
-
-
-def _key(frame: StoredFrame, box: OrientedBox) -> str:
-    content = box.pose.tobytes() + box.size_m.tobytes()
-    return f"{frame.id}:{hashlib.sha256(content).hexdigest()[:16]}"
-
-
-CHECKED_STATES = (*REVIEWED, ReviewState.PROPOSED)
-
-CountPoints = Callable[[StoredFrame, Sequence[OrientedBox]], Sequence[int] | None]
-"""Returns the number of points of a frame in each of some boxes; None if the frame cannot be read."""
 
 
 class Kind(StrEnum):
@@ -147,34 +136,13 @@ class CheckReport(Strict):
     uncounted: int
 
 
-def check_project(project: Project, frame_id: int | None = None, budget_s: float | None = None) -> CheckReport:
-    """Checks a project as `check` does, with points counted from the recordings.
+def check_project(project: Project, budget_s: float = math.inf) -> CheckReport:
+    """Checks frames, and labels that are not rejected, frame by frame; points are counted in the recordings.
 
     Args:
-        budget_s: time for reading frames, seconds; None = no limit.
+        budget_s: time for reading frames, seconds.
     """
-    counts = PointCounts(project, budget_s)
-    warnings = check(project, counts, frame_id)
-    counts.save()
-    recordings = project.recordings.all() if frame_id is None else ()
-    gone = (why_gone(each.path, each.name, project.path.name) for each in recordings)
-    checked = [e for e in project.labels.select(states=CHECKED_STATES) if frame_id in (None, e.frame_id)]
-    return CheckReport(
-        warnings=tuple(warnings),
-        labels=len(checked),
-        unreadable=(*filter(None, gone), *counts.unreadable),
-        uncounted=counts.unknown,
-    )
-
-
-def check(project: Project, count_points: CountPoints, frame_id: int | None = None) -> list[WarningRow]:
-    """Returns all warnings about frames, and about labels that are not rejected, frame by frame.
-
-    Args:
-        frame_id: warnings of this frame only (compared with the whole project); None = of all.
-    """
-    if frame_id is not None:
-        project.frames.get(frame_id)
+    count_points = PointCounts(project, budget_s)
     frames = {frame.id: frame for frame in project.frames.of()}
     recordings = {recording.id: recording for recording in project.recordings.all()}
     by_frame: dict[int, list[Label]] = defaultdict(list)
@@ -183,93 +151,101 @@ def check(project: Project, count_points: CountPoints, frame_id: int | None = No
         by_frame[entry.frame_id].append(entry.label)
     usual = label_rules.usual_sizes((e.label.label, e.label.box.size_m) for e in stored if e.label.state in REVIEWED)
     tracks = _Tracks(stored, frames)
-    config = project.config
-    classes, attributes, of_frames = set(config.classes), config.attributes, project.frames.attributes()
+    classes, attributes, of_frames = project.config.classes, project.config.attributes, project.frames.attributes()
     before = _previous_frames(frames.values(), {r.id for r in recordings.values() if r.is_sequence})
     warnings: list[WarningRow] = []
     for frame in frames.values():
         labels, values = by_frame.get(frame.id, []), of_frames.get(frame.id, {})
         # nobody can complete a frame that its recording no longer has
         is_complete = bool(labels) or (frame.finalised and frame.index is not None)
-        if not (is_complete or values) or (frame_id is not None and frame.id != frame_id):
-            continue
-        earlier = by_frame.get(before.get(frame.id, -1), [])
-        lines = [
-            *(
-                (Kind.CLASS, each.uid, f"the project has no class {each.label!r}; {alternatives(each.label, classes)}")
-                for each in labels
-                if each.label not in classes
-            ),
-            *_lines(Kind.ATTRIBUTE, labels, label_rules.odd_values(labels, attributes)),
-            *(
-                (Kind.ATTRIBUTE, None, message)
-                for message in label_rules.odd_frame_values(values, attributes, is_complete)
-            ),
-            *tracks.odd(labels, frame, attributes),
-            *_sizes(labels, usual, tracks, frame),
-            *_lines(Kind.HEADING, labels, label_rules.heading_jumps(labels, earlier)),
-            *_lines(Kind.DUPLICATE, labels, _duplicates(labels)),
-            *_empty(labels, count_points(frame, [label.box for label in labels]) if labels else None),
+        points = count_points(frame, [label.box for label in labels])
+        rules: tuple[tuple[Kind, Iterable[tuple[int | None, str]]], ...] = (
+            (Kind.CLASS, _unknown_classes(labels, classes)),
+            (Kind.ATTRIBUTE, label_rules.odd_values(labels, attributes)),
+            (Kind.ATTRIBUTE, ((None, m) for m in label_rules.odd_frame_values(values, attributes, is_complete))),
+            (Kind.ATTRIBUTE, tracks.odd_values(labels, frame, attributes)),
+            (Kind.TRACK, tracks.odd_classes(labels, frame)),
+            (Kind.SIZE, tracks.odd_sizes(labels, frame, dict(label_rules.odd_sizes(labels, usual)))),
+            (Kind.HEADING, label_rules.heading_jumps(labels, by_frame.get(before.get(frame.id, -1), []))),
+            (Kind.DUPLICATE, _duplicates(labels)),
+            (Kind.EMPTY, _empty(labels, points)),
+        )
+        warnings += [
+            WarningRow(
+                kind=kind,
+                frame=frame.id,
+                key=frame.key,
+                recording=recordings[frame.recording_id].name,
+                uid=None if number is None else labels[number].uid,
+                message=message,
+            )
+            for kind, breaches in rules
+            for number, message in breaches
         ]
-        place = {"frame": frame.id, "key": frame.key, "recording": recordings[frame.recording_id].name}
-        warnings += [WarningRow(kind=kind, uid=uid, message=message, **place) for kind, uid, message in lines]
-    return warnings
-
-
-Line = tuple[Kind, str | None, str]
-
-
-def _lines(kind: Kind, labels: Sequence[Label], places: Iterable[tuple[int, str]]) -> Iterator[Line]:
-    """Returns the findings of a rule about boxes, with the labels' uids."""
-    return ((kind, labels[number].uid, message) for number, message in places)
+    count_points.save()
+    gone = (why_gone(each.path, each.name, project.path.name) for each in recordings.values())
+    return CheckReport(
+        warnings=tuple(warnings),
+        labels=len(stored),
+        unreadable=(*filter(None, gone), *count_points.unreadable),
+        uncounted=count_points.unknown,
+    )
 
 
 class _Tracks:
     """The usual size, the classes and the values of each track."""
 
     def __init__(self, stored: Sequence[StoredLabel], frames: Mapping[int, StoredFrame]) -> None:
-        tracked = [(e.label, self.key(e.label, frames[e.frame_id])) for e in stored if e.label.track_id is not None]
+        tracked = [(e.label, _track(e.label, frames[e.frame_id])) for e in stored if e.label.track_id is not None]
         reviewed = ((key, label.box.size_m) for label, key in tracked if label.state in REVIEWED)
-        self.usual = label_rules.usual_sizes(reviewed, label_rules.TRACK_SIZE_FACTOR)
+        self._usual = label_rules.usual_sizes(reviewed, label_rules.TRACK_SIZE_FACTOR)
         # by track, then by attribute; None: the class
         self._values = defaultdict[str, dict[str | None, Counter[AttributeValue]]](lambda: defaultdict(Counter))
         for label, key in tracked:
             for name, value in ((None, label.label), *label.attributes.items()):
                 self._values[key][name][value] += 1
 
-    def key(self, label: Label, frame: StoredFrame) -> str:
-        """Returns a track's name within the project."""
-        return f"{frame.recording_id}/{label.track_id}"
-
-    def odd(self, labels: Sequence[Label], frame: StoredFrame, attributes: Sequence[Attribute]) -> Iterator[Line]:
-        """Yields labels of a frame whose values or class differ from those of their track in other frames."""
-        names = [each.name for each in attributes if each.of is AttributeOf.TRACK]
-        for label in labels:
-            if label.track_id is None:
-                continue
-            of_track = self._values[self.key(label, frame)]
-            most = {name: counts.most_common(1)[0][0] for name, counts in of_track.items()}
-            for name in names:
+    def odd_values(
+        self, labels: Sequence[Label], frame: StoredFrame, attributes: Sequence[Attribute]
+    ) -> Iterator[BoxBreach]:
+        """Yields labels of a frame whose values differ from those of their track in other frames."""
+        for name in (each.name for each in attributes if each.of is AttributeOf.TRACK):
+            for number, label, most in self._others(labels, frame, name):
                 value = label.attributes.get(name)
-                if value is not None and value != most[name]:
-                    here = f"{value_text(most[name])}, but {value_text(value)} here"
-                    yield Kind.ATTRIBUTE, label.uid, f"{name} of track {label.track_id} is mostly {here}"
-            if label.label != most[None]:
-                yield Kind.TRACK, label.uid, f"track {label.track_id} is mostly {most[None]}, but {label.label} here"
+                if value is not None and value != most:
+                    here = f"{value_text(most)}, but {value_text(value)} here"
+                    yield number, f"{name} of track {label.track_id} is mostly {here}"
+
+    def odd_classes(self, labels: Sequence[Label], frame: StoredFrame) -> Iterator[BoxBreach]:
+        for number, label, most in self._others(labels, frame, None):
+            if label.label != most:
+                yield number, f"track {label.track_id} is mostly {most}, but {label.label} here"
+
+    def odd_sizes(
+        self, labels: Sequence[Label], frame: StoredFrame, of_class: Mapping[int, str]
+    ) -> Iterator[BoxBreach]:
+        """Yields sizes that are odd for their class (`of_class` has the messages), else for their track."""
+        for number, label in enumerate(labels):
+            of_track = self._usual.get(_track(label, frame))
+            if number in of_class:
+                yield number, of_class[number]
+            elif of_track is not None and of_track.odd(label.box.size_m):
+                name = f"track {label.track_id}: {label.label}"
+                yield number, label_rules.odd_size_message(name, label.box.size_m, of_track)
+
+    def _others(
+        self, labels: Sequence[Label], frame: StoredFrame, name: str | None
+    ) -> Iterator[tuple[int, Label, AttributeValue]]:
+        """Yields the labels whose tracks have a value, with the value that occurs most."""
+        for number, label in enumerate(labels):
+            counts = self._values.get(_track(label, frame), {}).get(name)
+            if counts:
+                yield number, label, counts.most_common(1)[0][0]
 
 
-def _sizes(
-    labels: Sequence[Label], usual: Mapping[str, label_rules.UsualSize], tracks: _Tracks, frame: StoredFrame
-) -> Iterator[Line]:
-    """Yields sizes that are odd for their class, else for their track."""
-    of_class = dict(label_rules.odd_sizes(labels, usual))
-    for number, label in enumerate(labels):
-        of_track = tracks.usual.get(tracks.key(label, frame))
-        if number in of_class:
-            yield Kind.SIZE, label.uid, of_class[number]
-        elif of_track is not None and of_track.odd(label.box.size_m):
-            name = f"track {label.track_id}: {label.label}"
-            yield Kind.SIZE, label.uid, label_rules.odd_size_message(name, label.box.size_m, of_track)
+def _track(label: Label, frame: StoredFrame) -> str:
+    """Returns the name of a label's track within the project."""
+    return f"{frame.recording_id}/{label.track_id}"
 
 
 def _previous_frames(frames: Iterable[StoredFrame], sequences: set[int]) -> dict[int, int]:
@@ -282,13 +258,20 @@ def _previous_frames(frames: Iterable[StoredFrame], sequences: set[int]) -> dict
     }
 
 
-def _duplicates(labels: Sequence[Label]) -> Iterator[tuple[int, str]]:
+def _unknown_classes(labels: Sequence[Label], classes: Sequence[str]) -> Iterator[BoxBreach]:
+    for number, each in enumerate(labels):
+        if each.label not in classes:
+            yield number, f"the project has no class {each.label!r}; {alternatives(each.label, classes)}"
+
+
+def _duplicates(labels: Sequence[Label]) -> Iterator[BoxBreach]:
     for first, second, iou in label_rules.overlaps(labels, label_rules.OVERLAP_IOU):
         if labels[first].label == labels[second].label:
             yield second, f"two boxes of {labels[first].label} overlap by {iou:.0%} (IoU)"
 
 
-def _empty(labels: Sequence[Label], points: Sequence[int] | None) -> Iterator[Line]:
-    for label, count in zip(labels, points or (), strict=False):
+def _empty(labels: Sequence[Label], points: Sequence[int]) -> Iterator[BoxBreach]:
+    """`points` is empty where they could not be counted."""
+    for number, count in enumerate(points):
         if count < label_rules.LEAST_POINTS:
-            yield Kind.EMPTY, label.uid, label_rules.few_points_message(label.label, count)
+            yield number, label_rules.few_points_message(labels[number].label, count)
