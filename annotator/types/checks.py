@@ -9,11 +9,7 @@ import numpy as np
 
 
 def as_array(name: str, value: Any, dtype: type[np.generic], shape: tuple[int | None, ...]) -> np.ndarray:
-    """`value` as a read-only array of the given dtype and shape; None in `shape` matches any length.
-
-    Raises:
-        ValueError: another shape; the message contains `name`.
-    """
+    """`value` as a read-only array of the given dtype and shape; None in `shape` matches any length."""
     array = np.asarray(value, dtype=dtype)
     matches = array.shape == shape or (
         array.ndim == len(shape)
@@ -38,11 +34,7 @@ def too_late(time: object, unit: str) -> str:
 
 
 def seconds_ns(text: str) -> int:
-    """Returns a time in seconds, as a text, as whole nanoseconds; a float would lose some.
-
-    Raises:
-        ValueError: it is no such number, negative, or too late.
-    """
+    """Returns a time in seconds, as a text, as whole nanoseconds; a float would lose some."""
     try:
         time_s = Decimal(text)
         if time_s > LATEST_NS // 10**9:

@@ -1,30 +1,5 @@
 """The errors that annotator raises on purpose.
 
-    AnnotatorError
-    ├── InputError            unusable input from the user
-    │   ├── RecordingError        a recording or one of its frames
-    │   │   ├── UnknownFormatError    no reader recognises the path
-    │   │   ├── FrameError            one frame cannot be read; the others may be fine
-    │   │   │   └── UnclearError          its file can be read in several ways, or not as its place says
-    │   │   └── DeviceError           a camera is missing, not usable or disconnected
-    │   ├── FormatError           a label or dataset file
-    │   │   └── UnitError             its numbers are in another unit, or order, than its format has
-    │   ├── ConfigError           a setting or a command-line value
-    │   │   └── MovedError            a recording to add is one of the project, which has only moved
-    │   └── ArgumentError         an argument of the Python API; a ValueError too
-    ├── GeometryError         a computation has no result for this input
-    ├── DetectionError        training or running a 2D detector
-    ├── ProjectError          the project store
-    │   ├── NotFoundError         the project, recording, frame, label, view, model or job does not exist
-    │   ├── ReplacedError         the project's database was removed, or replaced while it was open
-    │   ├── InUseError            another process has the project open
-    │   ├── StaleRevisionError    the frame was changed by someone else first
-    │   ├── TrackTakenError       a track would get a second box in a frame, or its id is in use by now
-    │   ├── HistoryError          nothing to undo or redo, or someone else has changed it since
-    │   └── FinalisedFrameError   an automatic pass would change a finalised frame
-    ├── WorkerError           a batch's worker processes cannot be started, or crash repeatedly
-    └── MissingExtraError     an optional package is not installed
-
 A message says what is wrong, where (path, frame) and what to do next. These errors are caught in only three
 places: the command line, the web layer and the batch loop (which stores the failed frame).
 """

@@ -36,11 +36,7 @@ class OpenedRecording:
     correction: Correction = NO_CORRECTION
 
     def read(self, key: str) -> Frame:
-        """Reads a frame, with the project's correction of the calibration and its up direction.
-
-        Raises:
-            FrameError: the frame cannot be read, or no longer exists.
-        """
+        """Reads a frame, with the project's correction of the calibration and its up direction."""
         index = self.index(key)
         frame = self.recording.frame(index)
         if self.correction.time_offset_s:
@@ -50,11 +46,7 @@ class OpenedRecording:
         return frame if self.up is None else replace(frame, up=np.asarray(self.up, np.float64))
 
     def index(self, key: str) -> int:
-        """The frame's index in the recording.
-
-        Raises:
-            FrameError: the frame no longer exists.
-        """
+        """The frame's index in the recording."""
         if key not in self.recording.indices:
             raise FrameError(
                 Path(self.recording.path), f"frame {key} no longer exists", "restore it, or add the folder again"
@@ -63,11 +55,7 @@ class OpenedRecording:
 
 
 def open_stored(stored: StoredRecording, project: str) -> OpenedRecording:
-    """Opens a recording of a project of this name.
-
-    Raises:
-        RecordingError: it is missing or cannot be read.
-    """
+    """Opens a recording of a project of this name."""
     if missing := why_gone(stored.path, stored.name, project):
         raise RecordingError(missing)
     return OpenedRecording(open_recording(stored.path, stored_options(stored.options)), stored.up, stored.correction)
@@ -96,20 +84,11 @@ class FrameSource:
         return self._stored[recording_id]
 
     def recording(self, recording_id: int) -> Recording:
-        """Returns an open recording.
-
-        Raises:
-            RecordingError: it is missing or cannot be read.
-        """
+        """Returns an open recording."""
         return self._open(recording_id).recording
 
     def read(self, frame: StoredFrame) -> Frame:
-        """Reads a frame, with the project's up direction if it sets one.
-
-        Raises:
-            FrameError: the frame cannot be read, or no longer exists.
-            RecordingError: the recording is missing or cannot be read.
-        """
+        """Reads a frame, with the project's up direction if it sets one."""
         return self.adjusted(frame.recording_id).read(frame.key)
 
     def recorded(self, frame: StoredFrame) -> Frame:
@@ -118,11 +97,7 @@ class FrameSource:
         return opened.recording.frame(opened.index(frame.key))
 
     def adjusted(self, recording_id: int) -> OpenedRecording:
-        """The open recording with its present adjustment, which may have changed since it was opened.
-
-        Raises:
-            RecordingError: the recording is missing or cannot be read.
-        """
+        """The open recording with its present adjustment, which may have changed since it was opened."""
         opened = self._open(recording_id)
         if self._project.adjustments.newest(recording_id) != self.stored(recording_id).adjusted:
             stored = self._stored[recording_id] = self._project.recordings.get(recording_id)
@@ -145,11 +120,7 @@ def orientation_for(rotation: BoxRotation, frame: Frame) -> Orientation:
 
 
 def seen_labels(project: Project, source: FrameSource, frame: StoredFrame) -> tuple[Label, ...]:
-    """The labels of a frame's moment that were made in the frame, or that its image shows.
-
-    Raises:
-        FrameError, RecordingError: the frame cannot be read; it is, if other cameras have labels of the moment.
-    """
+    """The labels of a frame's moment that were made in the frame, or that its image shows."""
     stored = project.labels.of_moment(frame.id)
     if all(each.is_own for each in stored):
         return tuple(each.label for each in stored)

@@ -262,9 +262,6 @@ def stray_names(recording: Recording) -> Iterator[Stray]:
 
     Lists are `ImageSets/*.txt` of KITTI (beside `training`, or in the folder itself), VoteNet's `*_data_idx.txt`, which
     have the frames' numbers without leading zeros, and `splits/*.txt` of annotator's exports.
-
-    Raises:
-        FormatError: a list is not text.
     """
     root, format, keys = recording.root, recording.format, set(map(normal, recording.keys))
     for pattern in NAMED.get(format, ()):

@@ -296,12 +296,7 @@ class Pipeline:
         return True
 
     def end(self) -> None:
-        """Stops, and waits until all stages have ended.
-
-        Raises:
-            AnnotatorError: a stage has failed.
-            DeviceError: a stage hangs, e.g. the source in a call of the device.
-        """
+        """Stops, and waits until all stages have ended."""
         self.stop()
         if not self.wait(END_TIMEOUT_S):
             alive = ", ".join(thread.name for thread in self._threads if thread.is_alive())

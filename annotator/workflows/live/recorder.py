@@ -182,12 +182,7 @@ def require_recordable(recording: Recording) -> None:
 
 
 def rescue(out: Path, report: Report) -> None:
-    """Turns the hidden folders of killed processes beside `out` into recordings; removes those without frames.
-
-    Raises:
-        ConfigError: another process records to `out`.
-        OSError: a folder cannot be changed.
-    """
+    """Turns the hidden folders of killed processes beside `out` into recordings; removes those without frames."""
     for part in sorted(out.parent.glob(f"{glob.escape(_prefix(out))}*")):
         try:
             lock = lock_folder(part, is_told=True)

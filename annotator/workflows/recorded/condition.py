@@ -41,9 +41,6 @@ def require_not_moved(project: Project, recording: Recording, options: ReaderOpt
     Args:
         recording: one that the project does not have at this path, as its files give it.
         options: of its reader; the origin is what was found, which may have been another one before.
-
-    Raises:
-        MovedError: it has only moved, or seems to; the message says how to set its path.
     """
     options = options.model_copy(update={"origin": None})
     for known in (*project.recordings.all(), *project.recordings.removed()):

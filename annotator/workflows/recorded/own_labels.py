@@ -44,11 +44,6 @@ class RecordedLabels(LabelSet):
         Args:
             recordings: ids of the recordings to use; None = all.
             with_files: only the frames whose label file exists.
-
-        Raises:
-            ConfigError: none of the recordings has labels.
-            RecordingError: one of them cannot be read.
-            UnitError: the labels are in another unit than their format has.
         """
         source = FrameSource(project)
         selected = {r.id: r.name for r in project.recordings.all() if recordings is None or r.id in recordings}
@@ -92,9 +87,6 @@ def _require_units(recording: Recording) -> int:
     """Looks at the labels of all frames; returns how many 2D boxes without a 3D box are among them.
 
     Other faults are found when the frames are read, and may affect only one of them.
-
-    Raises:
-        UnitError: their numbers are in another unit than their format has.
     """
     file = label_file(recording, recording.keys[0])
     if file is None or recording.format not in FORMATS:
@@ -109,12 +101,7 @@ def _require_units(recording: Recording) -> int:
 
 
 def has_own_labels(project: Project, recording_id: int) -> bool:
-    """Returns True if there are true boxes beside the recording.
-
-    Raises:
-        NotFoundError: no such recording.
-        RecordingError: it cannot be read.
-    """
+    """Returns True if there are true boxes beside the recording."""
     return has_truth(FrameSource(project).recording(recording_id))
 
 
@@ -128,10 +115,6 @@ def import_own_labels(
 
     Args:
         progress: called with (frames done, frames).
-
-    Raises:
-        FormatError: the label file is broken and holds the labels of all frames.
-        UnitError: the labels are in another unit than their format has.
     """
     recording = FrameSource(project).recording(recording_id)
     if not has_truth(recording):

@@ -240,11 +240,7 @@ def load_mask(recording: Recording, frame: Frame) -> UInt8[np.ndarray, "h w"] | 
 
 
 def frame_number(path: Path, key: str) -> int:
-    """Returns the number of a frame in the label file of a whole recording.
-
-    Raises:
-        FormatError: the key is not a number.
-    """
+    """Returns the number of a frame in the label file of a whole recording."""
     if not key.isdecimal():
         raise FormatError(
             path, f"numbers its frames, but the key {key!r} is not a number; name the images by their frame numbers"
@@ -444,11 +440,7 @@ NO_LABELS = OwnLabels(lambda *_: FrameLabels())
 
 
 def true_kitti_rows(recording: Recording, index: int, frame: Frame) -> Sequence[KittiLabel]:
-    """Returns the true rows of a frame with DontCare areas: KITTI's own rows if there are any, else made from boxes.
-
-    Raises:
-        RecordingError, FormatError: as `load_truth`.
-    """
+    """Returns the true rows of a frame with DontCare areas: KITTI's own rows if there are any, else made from boxes."""
     file = label_file(recording, frame.key)
     if recording.format == OBJECT and file is not None:
         return read_kitti_file(file)
@@ -457,11 +449,7 @@ def true_kitti_rows(recording: Recording, index: int, frame: Frame) -> Sequence[
 
 
 def dont_care_rows(recording: Recording, key: str) -> list[KittiLabel]:
-    """Returns the DontCare (unlabelled) areas of a frame; none if it has no label file.
-
-    Raises:
-        FormatError: its label file is broken.
-    """
+    """Returns the DontCare (unlabelled) areas of a frame; none if it has no label file."""
     file = label_file(recording, key) if recording.format in (OBJECT, TRACKING) else None
     # a label folder may lack files of some frames
     if file is None or not file.is_file():
