@@ -1,22 +1,20 @@
-"""Selects the labels, or the images and pseudo-views, of a project to export, and divides its frames into parts."""
+"""What of a project is exported, and how its frames are divided into parts."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections import Counter, defaultdict
-from collections.abc import Collection, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
 import numpy as np
 
-from annotator.formats.dataset_writing import Losses, Lost
-from annotator.project import REVIEWED, ImageBoxes, Project, StoredFrame, StoredLabel, ViewBoxes
-from annotator.types import Box2D, ReviewState
+from annotator.types import ReviewState
 from annotator.types.errors import ConfigError
-from annotator.types.messages import alternatives, amount
+from annotator.types.messages import amount
 
 # Parts become the names of files and folders.
 NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
@@ -97,9 +95,6 @@ def assign(split: Split, places: Sequence[tuple[str, str]]) -> list[str]:
     return [part_of[group] for group in groups]
 
 
-NOT_REJECTED = (ReviewState.PROPOSED, *REVIEWED)
-
-
 @dataclass(frozen=True)
 class ExportFilter:
     """The labels to export.
@@ -118,194 +113,4 @@ class ExportFilter:
     skip_unreadable: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class Chosen:
-    """One frame to export.
-
-    Attributes:
-        stored: the frame.
-        recording: its recording's name.
-        labels: its labels to export.
-        split: its part of the dataset; None for a dataset without parts.
-    """
-
-    stored: StoredFrame
-    recording: str
-    labels: tuple[StoredLabel, ...]
-    split: str | None
-
-
-def choose_frames(
-    project: Project, choose: ExportFilter, states: tuple[ReviewState, ...], split: Split | None
-) -> list[Chosen]:
-    """Returns the frames to export, in the project's order.
-
-    Args:
-        states: the states of `choose`, or the format's default.
-    """
-    labels = labels_by_frame(project, choose, states)
-    if not labels and not choose.empty_frames:
-        waiting = 0 if ReviewState.PROPOSED in states else len(_selected(project, choose, [ReviewState.PROPOSED]))
-        advice = (
-            f"{waiting} are proposed and not reviewed: review them (`annotator serve`), or also choose the state "
-            "proposed to export them as they are"
-            if waiting
-            else "run `annotator annotate` first, or choose other states"
-        )
-        raise ConfigError(
-            f"project {project.config.name} has no labels in state {', '.join(states)} to export; {advice}"
-        )
-    every = project.frames.of(choose.recordings)
-    frames = [f for f in every if f.id in labels or (choose.empty_frames and f.index is not None)]
-    return divided(project, frames, labels, split)
-
-
-def _selected(project: Project, choose: ExportFilter, states: Sequence[ReviewState]) -> Sequence[StoredLabel]:
-    return project.labels.select(states=states, recordings=choose.recordings, classes=choose.classes)
-
-
-def waiting_note(
-    project: Project, choose: ExportFilter, states: tuple[ReviewState, ...], chosen: Sequence[Chosen]
-) -> str | None:
-    """Returns a note about exported frames with unreviewed proposals, which are left out; None if there are none."""
-    if ReviewState.PROPOSED in states:
-        return None
-    exported = {each.stored.id for each in chosen}
-    proposed = _selected(project, choose, [ReviewState.PROPOSED])
-    frames = [entry.frame_id for entry in proposed if entry.frame_id in exported]
-    if not frames:
-        return None
-    return (
-        f"left out: {amount(len(frames), 'unreviewed proposal')} on {len(set(frames))} of these frames; finish the "
-        "review first if the labels must be complete"
-    )
-
-
-def labels_by_frame(
-    project: Project, choose: ExportFilter, states: tuple[ReviewState, ...]
-) -> dict[int, tuple[StoredLabel, ...]]:
-    """Returns the labels to export, by frame id."""
-    name, classes = project.config.name, project.config.classes
-    if unknown := sorted(set(choose.classes or ()) - set(classes)):
-        raise ConfigError(f"project {name} has no class {unknown[0]!r}; {alternatives(unknown[0], classes)}")
-    labels: dict[int, list[StoredLabel]] = defaultdict(list)
-    for entry in _selected(project, choose, states):
-        labels[entry.frame_id].append(entry)
-    return {frame: tuple(entries) for frame, entries in labels.items()}
-
-
-def divided(
-    project: Project,
-    frames: Sequence[StoredFrame],
-    labels: Mapping[int, tuple[StoredLabel, ...]],
-    split: Split | None,
-) -> list[Chosen]:
-    """Returns the frames with their labels and parts."""
-    names = {recording.id: recording.name for recording in project.recordings.all()}
-    places = [(names[f.recording_id], f.key) for f in frames]
-    parts = [None] * len(frames) if split is None else assign(split, places)
-    return [
-        Chosen(frame, place[0], labels.get(frame.id, ()), part)
-        for frame, place, part in zip(frames, places, parts, strict=True)
-    ]
-
-
 Pictures = Literal["images", "views", "both"]
-
-
-@dataclass(frozen=True, eq=False)
-class ChosenPictures(Chosen):
-    """The images of one frame to export.
-
-    Attributes:
-        image: True to export the camera image.
-        drawn: the boxes drawn on it; the frame's other labels are projected onto it.
-        views: labelled pseudo-views of the frame to export.
-    """
-
-    image: bool
-    drawn: ImageBoxes | None
-    views: Sequence[ViewBoxes]
-
-
-def choose_pictures(
-    project: Project,
-    choose: ExportFilter,
-    states: tuple[ReviewState, ...],
-    split: Split | None,
-    pictures: Pictures,
-    losses: Losses,
-) -> list[ChosenPictures]:
-    """Returns the frames whose images are exported, in the project's order.
-
-    A camera image is exported with the boxes drawn on it, and with the outlines of the frame's other labels. An image
-    without boxes is exported as background if an operator confirmed it: its drawn boxes were saved as empty, or the
-    frame is finalised and has only rejected labels. An image with unreviewed proposals and without drawn boxes is not
-    exported, because a detector would learn to treat these objects as background.
-    """
-    labels = labels_by_frame(project, choose, states)
-    images = {b.frame_id: b for b in project.boxes.on_images(choose.recordings)} if pictures != "views" else {}
-    views = defaultdict[int, list[ViewBoxes]](list)
-    for view in project.boxes.on_views() if pictures != "images" else ():
-        if view.frame_id is not None and _is_drawn(view.boxes, choose):
-            views[view.frame_id].append(view)
-    with_image = _exported(project, choose, states, labels, images, losses) if pictures != "views" else set()
-    shown = with_image | views.keys()
-    frames = [frame for frame in project.frames.of(choose.recordings) if frame.id in shown]
-    if not frames and not loose_views(project, choose, pictures):
-        raise ConfigError(
-            f"project {project.config.name} has no labelled {'images or views' if pictures == 'both' else pictures} to "
-            "export; draw boxes, or review proposals (`annotator serve`)"
-        )
-    return [
-        ChosenPictures(
-            **vars(c), image=c.stored.id in with_image, drawn=images.get(c.stored.id), views=views[c.stored.id]
-        )
-        for c in divided(project, frames, labels, split)
-    ]
-
-
-def loose_views(project: Project, choose: ExportFilter, pictures: Pictures) -> list[ViewBoxes]:
-    """Returns labelled pseudo-views without a frame: imported, for training only."""
-    if pictures == "images" or choose.recordings is not None:
-        return []
-    return [view for view in project.boxes.on_views() if view.frame_id is None and _is_drawn(view.boxes, choose)]
-
-
-def of_classes(boxes: Sequence[Box2D], classes: Collection[str] | None) -> list[Box2D]:
-    """Returns the boxes of the given classes; None = all."""
-    return [box for box in boxes if classes is None or box.label in classes]
-
-
-def _is_drawn(boxes: Sequence[Box2D], choose: ExportFilter) -> bool:
-    """True for an image with a box of the chosen classes, or one confirmed as empty."""
-    return not boxes or choose.empty_frames or bool(of_classes(boxes, choose.classes))
-
-
-def _exported(
-    project: Project,
-    choose: ExportFilter,
-    states: tuple[ReviewState, ...],
-    labels: Mapping[int, tuple[StoredLabel, ...]],
-    images: Mapping[int, ImageBoxes],
-    losses: Losses,
-) -> set[int]:
-    """Returns the frames whose camera images are exported; counts those that only unreviewed proposals prevent."""
-    # all states except rejected: an object is not background, even if its state was not chosen
-    existing = _selected(project, choose, NOT_REJECTED)
-    with_object = {entry.frame_id for entry in existing}
-    waiting = {entry.frame_id for entry in existing if entry.label.state is ReviewState.PROPOSED}
-    chosen = set()
-    for frame in project.frames.of(choose.recordings):
-        drawn = images.get(frame.id)
-        if drawn is not None:
-            is_exported = _is_drawn(drawn.boxes, choose)
-        elif frame.id in waiting and ReviewState.PROPOSED not in states:
-            losses.add(Lost.OPEN, int(frame.id in labels))
-            is_exported = False
-        elif frame.id in labels or frame.id in with_object:
-            is_exported = frame.id in labels
-        else:
-            is_exported = frame.index is not None and (frame.finalised or choose.empty_frames)
-        chosen |= {frame.id} if is_exported else set()
-    return chosen
