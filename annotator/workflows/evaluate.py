@@ -5,7 +5,7 @@ By a benchmark's protocol, or against the truth beside the project's recordings.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from operator import attrgetter
@@ -110,10 +110,23 @@ def evaluate_files(detections: Path, truth: Path, protocol: Protocol, options: O
         detections, truth: kitti = folders or zip archives with one text file per frame, or datasets with
             training/label_2; sunrgbd = CSV files of boxes; oriented = `rcv` datasets.
     """
-    return _OF_FILES[protocol](detections, truth, options or Options())
+    options = options or Options()
+    if protocol is Protocol.KITTI:
+        return kitti_of(*_kitti_files(detections, truth, options), options.relaxed)
+    return _of_boxes(protocol, *frame_tables(*_frames_of_files(detections, truth, protocol, options)))
 
 
-def _kitti_files(detections: Path, truth: Path, options: Options) -> Report:
+def _of_boxes(protocol: Protocol, detected: BoxTable, true: BoxTable) -> Report:
+    if protocol is Protocol.SUNRGBD:
+        return sunrgbd_report(evaluate_oriented(detected, true, SUNRGBD_THRESHOLDS))
+    return oriented_report(evaluate_oriented(detected, true))
+
+
+Rows = list[Sequence[KittiLabel]]
+"""KITTI's rows by frame."""
+
+
+def _kitti_files(detections: Path, truth: Path, options: Options) -> tuple[Rows, Rows]:
     detections, truth = label_place(detections), label_place(truth)
     for path in (detections, truth):
         if path.exists() and not holds_texts(path):
@@ -131,7 +144,7 @@ def _kitti_files(detections: Path, truth: Path, options: Options) -> Report:
             "missing. Write an empty file for each frame without detections, "
             "or name the frames of your split with --frame-list"
         )
-    return kitti_of([detected[name] for name in names], [true[name] for name in names], options.relaxed)
+    return [detected[name] for name in names], [true[name] for name in names]
 
 
 def kitti_of(
@@ -168,30 +181,23 @@ def kitti_rows(frames: Sequence[Sequence[KittiLabel]]) -> KittiRows:
     return KittiRows.from_table(frame, labels, np.array(numbers, np.float64).reshape(-1, 15))
 
 
-def _sunrgbd(detections: Path, truth: Path, options: Options) -> Report:
-    for path in (detections, truth):
-        if path.is_dir() or path.suffix == ".json":
-            raise FormatError(
-                path, f"is no CSV file of boxes, one for all images (image,class,cx,...); {SCORE_PROJECT}"
-            )
-    detected, true = read_upright_boxes(detections, scored=True), read_upright_boxes(truth)
-    tables = frame_tables(*_compared((detections, truth), (detected, true), options))
-    return sunrgbd_report(evaluate_oriented(*tables, SUNRGBD_THRESHOLDS))
-
-
-def _oriented(detections: Path, truth: Path, options: Options) -> Report:
-    for path in (detections, truth):
-        if path.exists() and not (path / MANIFEST).is_file():
-            raise FormatError(path, f"is no dataset in the format rcv, which has a {MANIFEST}; {SCORE_PROJECT}")
-    compared = _compared((detections, truth), (labelled_frames(detections), labelled_frames(truth)), options)
-    return oriented_report(evaluate_oriented(*frame_tables(*compared)))
-
-
 Frames = Mapping[str, LabelledFrame]
 
 
-def _compared(paths: tuple[Path, Path], frames: tuple[Frames, Frames], options: Options) -> tuple[Frames, Frames]:
+def _frames_of_files(detections: Path, truth: Path, protocol: Protocol, options: Options) -> tuple[Frames, Frames]:
     """Returns the frames to evaluate, of detections and truth."""
+    paths = (detections, truth)
+    for path in paths:
+        if protocol is Protocol.ORIENTED and path.exists() and not (path / MANIFEST).is_file():
+            raise FormatError(path, f"is no dataset in the format rcv, which has a {MANIFEST}; {SCORE_PROJECT}")
+        if protocol is Protocol.SUNRGBD and (path.is_dir() or path.suffix == ".json"):
+            raise FormatError(
+                path, f"is no CSV file of boxes, one for all images (image,class,cx,...); {SCORE_PROJECT}"
+            )
+    if protocol is Protocol.ORIENTED:
+        frames = labelled_frames(detections), labelled_frames(truth)
+    else:
+        frames = read_upright_boxes(detections, scored=True), read_upright_boxes(truth)
     detected, true = ({normal(name): frame for name, frame in each.items()} for each in frames)
     first = f"first frames: {next(iter(detected), 'none')}, {next(iter(true), 'none')}"
     if detected and not detected.keys() & true.keys():
@@ -228,13 +234,6 @@ def box_table(frames: Sequence[Sequence[ScoredBox]]) -> BoxTable:
     return BoxTable.of((number, *box) for number, frame in enumerate(frames) for box in frame)
 
 
-_OF_FILES: Mapping[Protocol, Callable[[Path, Path, Options], Report]] = {
-    Protocol.KITTI: _kitti_files,
-    Protocol.SUNRGBD: _sunrgbd,
-    Protocol.ORIENTED: _oriented,
-}
-
-
 def evaluate_project(project: Project, protocol: Protocol, options: Options | None = None) -> Report:
     """Evaluates boxes of a project.
 
@@ -252,10 +251,8 @@ def evaluate_project(project: Project, protocol: Protocol, options: Options | No
     detected, true = zip(*compared, strict=True)
     if is_kitti:
         report = kitti_of(detected, true, options.relaxed)
-    elif protocol is Protocol.SUNRGBD:
-        report = sunrgbd_report(evaluate_oriented(box_table(detected), box_table(true), SUNRGBD_THRESHOLDS))
     else:
-        report = oriented_report(evaluate_oriented(box_table(detected), box_table(true)))
+        report = _of_boxes(protocol, box_table(detected), box_table(true))
     return replace(report, notes=source.notes())
 
 
