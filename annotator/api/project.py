@@ -10,7 +10,7 @@ from typing import Any, TypedDict, Unpack, overload
 from annotator import project as store
 from annotator.api.frames import choice, up_of
 from annotator.api.labels import read_labels
-from annotator.api.proposing import ImageDetector, Rotation, image_boxes_of, image_kind_of, kind_of, watch_with
+from annotator.api.proposing import ImageDetector, Rotation, image_boxes_of, kind_of, watch_with
 from annotator.evaluation.report import Report
 from annotator.project import BoxRotation, ProjectSettings, StoredFrame, StoredRecording
 from annotator.rcv.finish import FrameProposals
@@ -181,7 +181,7 @@ class Project:
             image_detector, own = self._own_image()
             image_kind = own if image_kind is None else image_kind
         boxes = image_boxes_of(frames, image_boxes, image_detector)
-        pair = self._pair(None, image_kind_of(image_detector, image_kind))
+        pair = self._pair(None, kind_of(image_detector, image_kind, "image_kind"))
         config, rotation = pair.settings(rcv_config(self.stored)), self.stored.config.settings.rotation
         proposals = propose_image_boxes(several, boxes, pair.view, config, rotation) if several else []
         return proposals[0] if isinstance(frames, Frame) else proposals
@@ -332,5 +332,5 @@ class Project:
                 raise ArgumentError(
                     f"{detector!r} is not a detector; pass an object with labels, fingerprint and detect"
                 )
-        image, kind = self._own_image() if image is None else (image, image_kind_of(image, image_kind))
+        image, kind = self._own_image() if image is None else (image, kind_of(image, image_kind, "image_kind"))
         return GivenDetectors(self._pair(image, kind, view, box_kind))

@@ -179,7 +179,9 @@ def image_boxes_of(
     if image_detector is not None:
         return as_detector(image_detector).detect(several) if several else []
     assert image_boxes is not None
-    lists = [list(image_boxes)] if isinstance(frames, Frame) else list(map(list, _lists(image_boxes)))
+    if not isinstance(frames, Frame) and any(isinstance(boxes, Box2D) for boxes in image_boxes):
+        raise ArgumentError("for several frames, pass one list of boxes per frame: image_boxes=[[...], [...]]")
+    lists = [list(image_boxes)] if isinstance(frames, Frame) else list(map(list, image_boxes))
     if len(lists) != len(several):
         raise ArgumentError(
             f"image_boxes has {amount(len(lists), 'list')} for {amount(len(several), 'frame')}; pass one list per frame"
@@ -189,19 +191,7 @@ def image_boxes_of(
     return lists
 
 
-def _lists(image_boxes: Sequence[Any]) -> Sequence[Sequence[Box2D]]:
-    if any(isinstance(boxes, Box2D) for boxes in image_boxes):
-        raise ArgumentError("for several frames, pass one list of boxes per frame: image_boxes=[[...], [...]]")
-    return image_boxes
-
-
-def kind_of(view_detector: ViewDetector, given: BoxKind | str | None) -> BoxKind:
-    """What a view detector's boxes measure: `given`, else the detector's `box_kind`, else silhouettes."""
-    kind = getattr(view_detector, "box_kind", BoxKind.SILHOUETTE) if given is None else given
-    return choice("box_kind", kind, BoxKind)
-
-
-def image_kind_of(image_detector: ImageDetector | None, given: BoxKind | str | None) -> BoxKind:
-    """What boxes on the image enclose: `given`, else the `box_kind` of their detector, else whole objects."""
-    kind = getattr(image_detector, "box_kind", BoxKind.BOX) if given is None else given
-    return choice("image_kind", kind, BoxKind)
+def kind_of(detector: object, given: BoxKind | str | None, argument: str = "box_kind") -> BoxKind:
+    """What a detector's boxes enclose: `given`, else its `box_kind`, else what is seen; on images, whole objects."""
+    default = BoxKind.BOX if argument == "image_kind" else BoxKind.SILHOUETTE
+    return choice(argument, getattr(detector, "box_kind", default) if given is None else given, BoxKind)

@@ -17,7 +17,7 @@ from annotator.rcv.config import Orientation
 from annotator.recordings import Recording, open_recording, stored_options
 from annotator.recordings.frame_times import image_at
 from annotator.recordings.look_around import RigCamera
-from annotator.types import NO_CORRECTION, Correction, Frame, Label
+from annotator.types import Frame, Label
 from annotator.types.errors import FrameError, RecordingError
 
 
@@ -26,24 +26,24 @@ class OpenedRecording:
     """An open recording of a project; frames are not cached.
 
     Attributes:
-        recording: the recording.
-        up: unit vector against gravity in the (corrected) camera frame, if the project sets one.
-        correction: of the calibration.
+        stored: what the project sets over its files; None for one that is not in it.
     """
 
     recording: Recording
-    up: tuple[float, float, float] | None
-    correction: Correction = NO_CORRECTION
+    stored: StoredRecording | None
 
     def read(self, key: str) -> Frame:
         """Reads a frame, with the project's correction of the calibration and its up direction."""
         index = self.index(key)
         frame = self.recording.frame(index)
-        if self.correction.time_offset_s:
-            shown = image_at(self.recording, index, self.correction.time_offset_s)
+        if self.stored is None:
+            return frame
+        correction, up = self.stored.correction, self.stored.up
+        if correction.time_offset_s:
+            shown = image_at(self.recording, index, correction.time_offset_s)
             frame = frame if shown == index else with_image(frame, self.recording.frame(shown).rgb)
-        frame = corrected(frame, self.correction)
-        return frame if self.up is None else replace(frame, up=np.asarray(self.up, np.float64))
+        frame = corrected(frame, correction)
+        return frame if up is None else replace(frame, up=np.asarray(up, np.float64))
 
     def index(self, key: str) -> int:
         """The frame's index in the recording."""
@@ -58,7 +58,7 @@ def open_stored(stored: StoredRecording, project: str) -> OpenedRecording:
     """Opens a recording of a project of this name."""
     if missing := why_gone(stored.path, stored.name, project):
         raise RecordingError(missing)
-    return OpenedRecording(open_recording(stored.path, stored_options(stored.options)), stored.up, stored.correction)
+    return OpenedRecording(open_recording(stored.path, stored_options(stored.options)), stored)
 
 
 def why_gone(path: Path, name: str, project: str) -> str | None:
@@ -74,14 +74,7 @@ class FrameSource:
 
     def __init__(self, project: Project) -> None:
         self._project = project
-        self._stored: dict[int, StoredRecording] = {}
         self._opened: dict[int, OpenedRecording] = {}
-
-    def stored(self, recording_id: int) -> StoredRecording:
-        """Returns a recording as stored in the project."""
-        if recording_id not in self._stored:
-            self._stored[recording_id] = self._project.recordings.get(recording_id)
-        return self._stored[recording_id]
 
     def recording(self, recording_id: int) -> Recording:
         """Returns an open recording."""
@@ -99,14 +92,14 @@ class FrameSource:
     def adjusted(self, recording_id: int) -> OpenedRecording:
         """The open recording with its present adjustment, which may have changed since it was opened."""
         opened = self._open(recording_id)
-        if self._project.adjustments.newest(recording_id) != self.stored(recording_id).adjusted:
-            stored = self._stored[recording_id] = self._project.recordings.get(recording_id)
-            opened = self._opened[recording_id] = replace(opened, up=stored.up, correction=stored.correction)
+        if opened.stored is None or self._project.adjustments.newest(recording_id) != opened.stored.adjusted:
+            opened = replace(opened, stored=self._project.recordings.get(recording_id))
+            self._opened[recording_id] = opened
         return opened
 
     def _open(self, recording_id: int) -> OpenedRecording:
         if recording_id not in self._opened:
-            stored = self.stored(recording_id)
+            stored = self._project.recordings.get(recording_id)
             self._project.recordings.require_readable(stored)
             self._opened[recording_id] = open_stored(stored, self._project.path.name)
         return self._opened[recording_id]

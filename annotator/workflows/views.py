@@ -282,7 +282,7 @@ def _places(
         settings = config.model_copy(update={"orientation": orientation})
         if step == 2:
             frame = frame_with_normals(frame, [image_box for image_box, _ in objects])
-        recording = source.stored(stored.recording_id).name
+        recording = project.recordings.get(stored.recording_id).name
         for number, (image_box, pair) in enumerate(objects):
             spans = [(np.array(v.geometry.axes), spans_m(v)) for v in pair if v.geometry is not None]
             views = next_views(frame, image_box, spans, settings) if spans else first_views(frame, image_box, settings)

@@ -43,13 +43,8 @@ MAX_WAITING = 16
 Report = Callable[[str], None]
 
 
-@dataclass(frozen=True, eq=False)
-class RecordedFrame:
-    """A frame of a finished recording: its key, its proposals, and the duration of the detection."""
-
-    key: str
-    result: FrameProposals
-    seconds: float
+RecordedFrame = tuple[str, FrameProposals, float]
+"""A frame of a finished recording: its key, its proposals, and the duration of the detection, seconds."""
 
 
 class Recorder:
@@ -149,7 +144,7 @@ class Recorder:
             try:
                 time_ns = round(1e9 * (self._epoch_s + detected.taken_s))
                 key = self._writer.add(detected.frame, time_ns)
-                self._store(RecordedFrame(key, detected.found, detected.detect_s))
+                self._store((key, detected.found, detected.detect_s))
             except Exception as error:
                 self._error = error
 
@@ -161,7 +156,7 @@ class Recorder:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError as error:
             raise RecordingError(
-                f"{self.out}: the proposals of frame {frame.key} cannot be written ({error.strerror or error}); "
+                f"{self.out}: the proposals of frame {frame[0]} cannot be written ({error.strerror or error}); "
                 "free some space, or record to another disk"
             ) from error
         self._result_count += 1
@@ -265,10 +260,9 @@ def store(
     )
     frames = {frame.key: frame for frame in project.frames.of([stored.id])}
     proposals = 0
-    for recorded in recorder.recorded():
-        frame, result = frames[recorded.key], recorded.result
+    for key, result, seconds in recorder.recorded():
+        frame, share = frames[key], RunShare(run.id, seconds)
         context = WriteContext(frame.revision, AUTHOR, Source.AUTO)
-        share = RunShare(run.id, recorded.seconds)
         project.proposals.replace(frame.id, result.proposals, context, run=share, box_kind=detectors.box_kind)
         proposals += len(result.proposals)
     project.jobs.finish(run.id)

@@ -153,7 +153,7 @@ class Storage:
 
         limit_bytes, options = self.cache_mb * 10**6 // MAX_OPEN, stored_options(recording.options)
         mirror = open_mirror(place, scratch_folder() / "recordings", limit_bytes, options)
-        return OpenedRecording(mirror, recording.up, recording.correction)
+        return OpenedRecording(mirror, recording)
 
 
 def parse_elsewhere(words: Sequence[str]) -> tuple[tuple[Path, str], ...]:
