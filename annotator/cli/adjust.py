@@ -147,13 +147,12 @@ def run_calibrate(
         time_offset_s=new.time_offset_s,
         moved_labels=moved,
     )
-    print_result(report, facts(_correction_rows(report)), as_json)
-
-
-def _correction_rows(report: CalibrationReport) -> Iterator[tuple[str, object]]:
-    yield "recording", report.recording
-    yield "turn", " ".join(f"{x:g}" for x in report.turn_deg) + " degrees"
-    yield "shift", " ".join(f"{x:g}" for x in report.shift_m) + " m"
-    yield "time offset", f"{report.time_offset_s:g} s"
-    if report.moved_labels:
-        yield "labels", f"{report.moved_labels} stay where they are in the clouds; train the detectors anew"
+    rows: list[tuple[str, object]] = [
+        ("recording", report.recording),
+        ("turn", " ".join(f"{x:g}" for x in report.turn_deg) + " degrees"),
+        ("shift", " ".join(f"{x:g}" for x in report.shift_m) + " m"),
+        ("time offset", f"{report.time_offset_s:g} s"),
+    ]
+    if moved:
+        rows.append(("labels", f"{moved} stay where they are in the clouds; train the detectors anew"))
+    print_result(report, facts(rows), as_json)

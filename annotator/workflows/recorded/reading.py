@@ -119,11 +119,14 @@ def found_labels(recording: Recording, index: int, frame: Frame | None) -> Frame
         return FrameLabels()
     base = recording.base if isinstance(recording, LookAround) else recording
     try:
-        found = _LABELS[base.format].read(base, key, file, None if frame is None else _as_recorded(frame))
+        read = _LABELS[base.format].read(base, key, file, None if frame is None else _as_recorded(frame))
+        found = read if isinstance(read, FrameLabels) else FrameLabels([FoundLabel(each, file) for each in read])
         if frame is None:
             return found
         found = _moved(found, frame.T_camera_recorded)
-        if isinstance(base, NuScenes | ArgoverseLog) and not (recording is base and _is_export(base)):
+        # all boxes of an export of annotator belong to its one camera
+        is_export = recording is base and isinstance(base, NuScenes) and base.is_export
+        if isinstance(base, NuScenes | ArgoverseLog) and not is_export:
             K, size = frame.camera.matrix, (frame.camera.width_px, frame.camera.height_px)
             found = found._replace(objects=[each for each in found.objects if is_seen(each.truth.box, K, *size)])
         return found
@@ -137,11 +140,6 @@ def found_labels(recording: Recording, index: int, frame: Frame | None) -> Frame
 
 def _own(recording: Recording) -> OwnLabels:
     return _LABELS.get(recording.format, NO_LABELS)
-
-
-def _is_export(recording: Recording) -> bool:
-    """True for an export of annotator, whose boxes all belong to its one camera."""
-    return isinstance(recording, NuScenes) and recording.is_export
 
 
 def _moved(found: FrameLabels, T: RigidTransform | None) -> FrameLabels:
@@ -259,11 +257,6 @@ def _kept(read: Callable[..., object], path: Path, _version: tuple[int, int], *a
     return read(path, *args)
 
 
-def _plain(truths: Iterable[Truth], file: Path, T: RigidTransform | None = None) -> FrameLabels:
-    """Objects of a file that is sound."""
-    return FrameLabels([FoundLabel(each, file) for each in transformed(list(truths), T)])
-
-
 def _first(faults: Iterable[FormatError], angles: Angles) -> FormatError | None:
     """The first fault, also if it is the unit of the angles."""
     of_set: list[FormatError] = []
@@ -287,19 +280,15 @@ def _objects(
 def _of_kitti(_recording: Recording, _key: str, path: Path, frame: Frame | None) -> FrameLabels:
     faults, angles = list[FormatError](), Angles()
     rows = list(read_rows(path, on_fault=faults.append))
-    found = _objects(rows, path, _label_pose(frame), faults, angles)
+    found = _objects(rows, path, frame and frame.T_camera_label, faults, angles)
     return FrameLabels(found, faults, error=_first(faults, angles), rows=rows)
-
-
-def _label_pose(frame: Frame | None) -> RigidTransform | None:
-    return None if frame is None else frame.T_camera_label
 
 
 def _of_votenet(_recording: Recording, _key: str, path: Path, frame: Frame | None) -> FrameLabels:
     faults, found = list[FormatError](), list[FoundLabel]()
     for line, fields in text_rows(path):
         with reported(faults.append):
-            found.append(FoundLabel(extracted_truth(fields, _label_pose(frame), path, line), path, line))
+            found.append(FoundLabel(extracted_truth(fields, frame and frame.T_camera_label, path, line), path, line))
     return FrameLabels(found, faults, error=next(iter(faults), None))
 
 
@@ -345,7 +334,7 @@ def _with_error(
 
 def _of_tracking(recording: Recording, key: str, path: Path, frame: Frame | None) -> FrameLabels:
     found = labels_by_frame(recording, path)
-    return _moved(found.get(str(frame_number(path, key)), found[NO_FRAME]), _label_pose(frame))
+    return _moved(found.get(str(frame_number(path, key)), found[NO_FRAME]), frame and frame.T_camera_label)
 
 
 def _of_boxes(recording: Recording, key: str, path: Path, _frame: Frame | None) -> FrameLabels:
@@ -353,18 +342,18 @@ def _of_boxes(recording: Recording, key: str, path: Path, _frame: Frame | None) 
     return found.get(normal(key), found[NO_FRAME])
 
 
-def _of_raw(recording: KittiRaw, key: str, path: Path, _frame: Frame) -> FrameLabels:
+def _of_raw(recording: KittiRaw, key: str, path: Path, _frame: Frame) -> list[Truth]:
     """In LiDAR coordinates, unlike all other KITTI labels."""
     truths = _whole(read_tracklets, path).get(frame_number(path, key), ())
-    return _plain(truths, path, recording.calibration(key).T_camera_lidar)
+    return transformed(truths, recording.calibration(key).T_camera_lidar)
 
 
-def _of_nuscenes(recording: NuScenes, key: str, path: Path, frame: Frame) -> FrameLabels:
+def _of_nuscenes(recording: NuScenes, key: str, path: Path, frame: Frame) -> list[Truth]:
     """The boxes of a frame's sample; none between samples."""
-    sample = recording.sample(key)
-    if sample is None or frame.T_camera_label is None:
-        return FrameLabels()
-    return _plain(_whole(_samples, path, recording.tables, recording.samples)[sample], path, frame.T_camera_label)
+    sample, T = recording.sample(key), frame.T_camera_label
+    if sample is None or T is None:
+        return []
+    return transformed(_whole(_samples, path, recording.tables, recording.samples)[sample], T)
 
 
 def _samples(_path: Path, tables: Path, samples: frozenset[str]) -> dict[str, tuple[Truth, ...]]:
@@ -372,49 +361,42 @@ def _samples(_path: Path, tables: Path, samples: frozenset[str]) -> dict[str, tu
     return read_sample_boxes(tables, samples)
 
 
-def _of_argoverse(_recording: Recording, key: str, path: Path, frame: Frame) -> FrameLabels:
+def _of_argoverse(_recording: Recording, key: str, path: Path, frame: Frame) -> list[Truth]:
     T = frame.T_camera_label
-    return FrameLabels() if T is None else _plain(_whole(argoverse.read_argoverse, path).get(int(key), ()), path, T)
+    return [] if T is None else transformed(_whole(argoverse.read_argoverse, path).get(int(key), ()), T)
 
 
 def _of_rcv(_recording: Recording, key: str, path: Path, _frame: Frame | None) -> FrameLabels:
-    dataset = _whole(_rcv, path.parent.parent / MANIFEST)
+    dataset = _whole(_dataset, path.parent.parent / MANIFEST)
     _, labels, *_ = dataset.named_labels(dataset.manifest.frames.index(key))
     return FrameLabels([FoundLabel(truth_of(each), path, state=each.state) for each in labels])
 
 
-def _rcv(path: Path) -> RcvDataset:
-    return read_rcv(path.parent)
+def _dataset(manifest: Path) -> RcvDataset:
+    return read_rcv(manifest.parent)
 
 
-def _of_openlabel(_recording: Recording, key: str, path: Path, frame: Frame) -> FrameLabels:
+def _of_openlabel(_recording: Recording, key: str, path: Path, frame: Frame) -> list[Truth]:
     labels, names = _whole(_openlabel, path)
-    return _plain(labels.truths(names.known(key), frame), path)
+    return labels.truths(names.known(key), frame)
 
 
 def _openlabel(path: Path) -> tuple[LabelSet, DatasetNames]:
     return placed_boxes(BoxFormat.OPENLABEL, path), DatasetNames.of(path.parent)
 
 
-def _of_scene(_recording: Recording, _key: str, path: Path, frame: Frame) -> FrameLabels:
-    return _plain(read_scene_labels(path, frame.T_camera_label), path)
-
-
-def _of_labelcloud(_recording: Recording, _key: str, path: Path, frame: Frame) -> FrameLabels:
-    return _plain(read_labelcloud_file(path), path, frame.T_camera_label)
-
-
 class OwnLabels(NamedTuple):
     """The labels of a format of recordings.
 
     Attributes:
-        read: takes the recording, a frame's key, the label file and the frame, in recorded coordinates.
+        read: takes the recording, a frame's key, the label file and the frame, in recorded coordinates. Of files that
+            are sound as a whole or not at all, it gives the objects alone.
         places: files, or folders with a file for each frame.
         suffix: of the label files of single frames.
         without_frame: the labels are read also if the frame cannot be.
     """
 
-    read: Callable[..., FrameLabels]
+    read: Callable[..., FrameLabels | Sequence[Truth]]
     places: tuple[str, ...] = ()
     suffix: str = ".txt"
     without_frame: bool = False
@@ -431,12 +413,16 @@ _LABELS = {
     "nuscenes": OwnLabels(_of_nuscenes, (ANNOTATIONS,)),
     "argoverse2": OwnLabels(_of_argoverse, (argoverse.ANNOTATIONS,)),
     "sunrgbd_extracted": OwnLabels(_of_votenet, ("label",), without_frame=True),
-    "sunrgbd_scenes": OwnLabels(_of_scene, (SCENE_LABELS,)),
+    "sunrgbd_scenes": OwnLabels(
+        lambda _r, _k, path, frame: read_scene_labels(path, frame.T_camera_label), (SCENE_LABELS,)
+    ),
     "rcv": OwnLabels(_of_rcv, (LABELS,), ".json", without_frame=True),
     "openlabel": OwnLabels(_of_openlabel),
-    "cloud_folder": OwnLabels(_of_labelcloud, (LABELS,), ".json"),
+    "cloud_folder": OwnLabels(
+        lambda _r, _k, path, frame: transformed(read_labelcloud_file(path), frame.T_camera_label), (LABELS,), ".json"
+    ),
 }
-NO_LABELS = OwnLabels(lambda *_: FrameLabels())
+NO_LABELS = OwnLabels(lambda *_: ())
 
 
 def true_kitti_rows(recording: Recording, index: int, frame: Frame) -> Sequence[KittiLabel]:
