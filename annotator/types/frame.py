@@ -46,7 +46,6 @@ class Camera:
 
     @property
     def matrix(self) -> Float64[np.ndarray, "3 3"]:
-        """The camera matrix K."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     @property

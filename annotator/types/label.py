@@ -18,16 +18,12 @@ AttributeValue = bool | int | float | str
 
 
 class Source(StrEnum):
-    """The origin of a label."""
-
     MANUAL = "manual"
     AUTO = "auto"
     IMPORTED = "imported"
 
 
 class ReviewState(StrEnum):
-    """The review state of a 3D box."""
-
     PROPOSED = "proposed"
     ACCEPTED = "accepted"
     EDITED = "edited"
@@ -78,7 +74,6 @@ class Said:
     box_kind: BoxKind = BoxKind.BOX
 
     def transformed(self, T: RigidTransform) -> Said:
-        """Returns it with the box moved by `T`."""
         return replace(self, box=self.box.transformed(T))
 
 

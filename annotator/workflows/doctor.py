@@ -87,15 +87,12 @@ class Line(Strict):
 
 
 class Report(Strict):
-    """All lines of a run, grouped by section."""
-
     report_version: int = REPORT_VERSION
     annotator_version: str
     lines: tuple[Line, ...]
 
     @property
     def failed(self) -> bool:
-        """Whether any line has failed."""
         return any(each.state is State.FAILED for each in self.lines)
 
 
@@ -260,7 +257,6 @@ def openvino(_: Path) -> Iterator[Line]:
 
 
 def numba(_: Path) -> Iterator[Line]:
-    """Checks whether numba can be loaded."""
     yield _loaded("numba", "numba", lambda: str(import_module("numba").__version__), "recursion needs it", failed=True)
 
 

@@ -346,7 +346,6 @@ class _Source:
 
 
 def scored_box(label: Truth | Proposal) -> ScoredBox:
-    """Returns the class, the box and the score of a label."""
     return label.label, label.box, _score(label.score)
 
 

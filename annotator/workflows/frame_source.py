@@ -46,7 +46,6 @@ class OpenedRecording:
         return frame if up is None else replace(frame, up=np.asarray(up, np.float64))
 
     def index(self, key: str) -> int:
-        """The frame's index in the recording."""
         if key not in self.recording.indices:
             raise FrameError(
                 Path(self.recording.path), f"frame {key} no longer exists", "restore it, or add the folder again"
@@ -55,7 +54,6 @@ class OpenedRecording:
 
 
 def open_stored(stored: StoredRecording, project: str) -> OpenedRecording:
-    """Opens a recording of a project of this name."""
     if missing := why_gone(stored.path, stored.name, project):
         raise RecordingError(missing)
     return OpenedRecording(open_recording(stored.path, stored_options(stored.options)), stored)
@@ -77,7 +75,6 @@ class FrameSource:
         self._opened: dict[int, OpenedRecording] = {}
 
     def recording(self, recording_id: int) -> Recording:
-        """Returns an open recording."""
         return self._open(recording_id).recording
 
     def read(self, frame: StoredFrame) -> Frame:

@@ -47,7 +47,6 @@ def rule_of(error: AnnotatorError) -> Rule:
 
 
 def report_sizes(sizes: SizeDoubts, findings: Findings, path: Path) -> None:
-    """Adds what the sizes of a dataset's boxes show to `findings`."""
     if (problem := sizes.lengths.problem()) is not None:
         findings.add(rules.LENGTH_UNIT, path, problem)
     elif (problem := sizes.orders.problem()) is not None:
@@ -70,8 +69,6 @@ Progress = Callable[[int, int], None]
 
 
 class DatasetFacts(Strict):
-    """A checked dataset."""
-
     path: str
     format: str
     frames: int
@@ -136,7 +133,6 @@ class DatasetCheck:
         return None
 
     def _frame(self, index: int, key: str, frame: Frame) -> None:
-        """Checks the camera, the cloud and the time of a frame."""
         file, recording = self.source.calibration(index), self.source.recording
         of_cloud = label_rules.cloud_rules(frame, of_depth_camera=recording.format == "sunrgbd_extracted")
         for rule, message in (*label_rules.camera_rules(frame.camera), *of_cloud):

@@ -147,7 +147,6 @@ class Findings:
         self._found: dict[tuple[Rule, Path, int | None, str], Finding] = {}
 
     def add(self, rule: Rule, file: Path, message: str, *, line: int | None = None, frame: str | None = None) -> None:
-        """Adds a breach of a rule."""
         found = Finding(rule=rule.id, severity=rule.severity, file=str(file), line=line, frame=frame, message=message)
         # without the frame: a shared file is faulty once, not once per frame
         self._found.setdefault((rule, file, line, message), found)

@@ -214,7 +214,6 @@ Breach = tuple[Rule, int, str]
 
 
 def rules_of_labels(labels: Sequence[FoundLabel]) -> Iterator[Breach]:
-    """Checks each label on its own."""
     for number, entry in enumerate(labels):
         size_m = entry.truth.box.size_m
         if size_m.min() < SHORTEST_M or size_m.max() > LONGEST_M:
@@ -273,7 +272,6 @@ def _row_rules(row: KittiLabel) -> Iterator[tuple[Rule, str]]:
 
 
 def rules_in_frame(frame: Frame, labels: Sequence[FoundLabel]) -> Iterator[Breach]:
-    """Checks the boxes against the image and the cloud."""
     # if the cloud has points behind the camera, boxes outside the image are valid
     all_around = bool((frame.cloud.xyz_m[:, 2] <= 0).any())
     for number, entry in enumerate(labels):

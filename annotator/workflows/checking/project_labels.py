@@ -99,8 +99,6 @@ class PointCounts:
 
 
 class Kind(StrEnum):
-    """The kind of a warning."""
-
     SIZE = "size"
     EMPTY = "empty"
     HEADING = "heading"

@@ -163,7 +163,6 @@ class Source:
     dataset: RcvDataset | None = None
 
     def calibration(self, index: int) -> Path:
-        """Returns the file of a frame's camera."""
         recording = self.recording
         if self.dataset is not None:
             return self.dataset.label_path(index)

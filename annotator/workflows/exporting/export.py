@@ -443,8 +443,6 @@ UNREGISTERED = "unregistered"
 
 
 class BoxExport(ExportJob):
-    """Writes a dataset of 3D boxes."""
-
     def write(self) -> ExportReport:
         project, options = self.project, self.options
         frames = self._chosen()

@@ -224,7 +224,6 @@ class LiveDetection:
         return self._config
 
     def detect(self, taken: Taken) -> Detected:
-        """Detects the boxes of a frame."""
         begin = time.perf_counter()
         self._image.seconds = self._view.seconds = 0.0
         orientation = orientation_for(self._rotation, taken.frame)

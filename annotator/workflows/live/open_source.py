@@ -33,7 +33,6 @@ class KinectSource(KinectDevice):
     gives_newest = False
 
     def read(self, stop: threading.Event) -> Taken | None:
-        """As `Source.read`."""
         arrived = self.next_frame(stop)
         return None if arrived is None else Taken(*arrived, time.perf_counter() - arrived[1])
 
@@ -101,7 +100,6 @@ class Playback:
         return 1 / max(float(np.median(np.abs(np.diff(self._times_s)))), 1e-9)
 
     def read(self, stop: threading.Event) -> Taken | None:
-        """As `Source.read`."""
         due = self._wait_for_next(stop)
         if due is None:
             return None

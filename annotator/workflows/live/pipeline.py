@@ -89,7 +89,6 @@ class Meter:
             self._forget(now)
 
     def figures(self, drops: Mapping[str, int]) -> Figures:
-        """Returns the present measurements."""
         with self._lock:
             self._forget(time.perf_counter())
             recent, shown = list(self._recent), self._shown
@@ -276,7 +275,6 @@ class Pipeline:
         self._running_stages = len(self._threads)
 
     def start(self) -> None:
-        """Starts all stages."""
         for thread in self._threads:
             thread.start()
 
@@ -308,14 +306,12 @@ class Pipeline:
         return not self._running.is_set()
 
     def pause(self, paused: bool) -> None:
-        """Pauses or resumes reading frames."""
         if paused:
             self._running.clear()
         if not paused or self._stop.is_set():  # checked after clearing, so that a concurrent stop is not undone
             self._running.set()
 
     def figures(self) -> Figures:
-        """Returns the present measurements."""
         drops = {"source": self.source.skipped, "detect": self._taken.dropped, "show": self._detected.dropped}
         return self.meter.figures(drops | {"record": 0 if self._record is None else self._record.dropped})
 

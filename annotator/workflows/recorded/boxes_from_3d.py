@@ -134,7 +134,6 @@ def boxes_from_3d(
     config, rotation = rcv_config(project), project.config.settings.rotation
 
     def convert(name: str, stored: StoredFrame) -> None:
-        """Stores the boxes of one frame."""
         if _is_drawn(read_page(project, stored.id)):  # checked first, before the slow steps
             report.add(Note.DRAWN)
             return
