@@ -1,6 +1,6 @@
 """The rules of the dataset check, and what one check finds.
 
-`docs/checks.md` has the same table of rules. Ids and severities are stable: programs may rely on them.
+`docs/checks.md` tells what each rule finds. Ids and severities are stable: programs may rely on them.
 """
 
 from __future__ import annotations
@@ -28,94 +28,73 @@ class Severity(StrEnum):
 
 
 class Rule(NamedTuple):
-    """A rule: id, severity of a breach, and what it finds."""
+    """A rule; `docs/checks.md` tells what it finds."""
 
     id: str
     severity: Severity
-    meaning: str
 
 
 RULES: dict[str, Rule] = {}
 
 
-def _rule(severity: Severity, rule_id: str, meaning: str) -> Rule:
-    return RULES.setdefault(rule_id, Rule(rule_id, severity, meaning))
+def _rule(severity: Severity, rule_id: str) -> Rule:
+    return RULES.setdefault(rule_id, Rule(rule_id, severity))
 
 
 _error, _warning, _note = (partial(_rule, severity) for severity in Severity)
 
 # Files
-UNREADABLE_DATASET = _error("unreadable-dataset", "a folder looks like a dataset but cannot be opened")
-MISSING_FILE = _error("missing-file", "a frame lacks one of its files, such as an image without its cloud")
-UNREADABLE_FILE = _error("unreadable-file", "a frame's file is damaged, or differs in size from those beside it")
-UNCLEAR_FILE = _error(
-    "unclear-file",
-    "how a file is to be read is not certain: the number of values per point in a `.bin`, or SUN RGB-D's depth in "
-    "an RGB-D folder",
-)
-UNREADABLE_CALIBRATION = _error(
-    "unreadable-calibration", "a calibration lacks a matrix, or has an invalid camera matrix or rotation"
-)
-UNREADABLE_MASK = _error("unreadable-mask", "a mask is missing or damaged, or differs in size from its image")
-MISSING_LABELS = _error("missing-labels", "a frame has no label file, but others of its dataset have one")
-STRAY_FILE = _error(
-    "stray-file",
-    "a missing frame has labels or a calibration, or is listed in `ImageSets/`, `*_data_idx.txt`, `splits/`",
-)
-MANIFEST_MISMATCH = _error("manifest-mismatch", "the counts in a dataset's manifest are wrong")
-
-UNCHECKED_DATASET = _note(
-    "unchecked-dataset",
-    "labels were read, but their boxes not compared with clouds and images (nuScenes, OpenLABEL, labelCloud, "
-    "SUSTechPOINTS, COCO, YOLO)",
-)
+UNREADABLE_DATASET = _error("unreadable-dataset")
+MISSING_FILE = _error("missing-file")
+UNREADABLE_FILE = _error("unreadable-file")
+UNCLEAR_FILE = _error("unclear-file")
+UNREADABLE_CALIBRATION = _error("unreadable-calibration")
+UNREADABLE_MASK = _error("unreadable-mask")
+MISSING_LABELS = _error("missing-labels")
+STRAY_FILE = _error("stray-file")
+MANIFEST_MISMATCH = _error("manifest-mismatch")
+UNCHECKED_DATASET = _note("unchecked-dataset")
 
 # Rows
-BROKEN_LABEL = _error("broken-label", "a row or entry of a label file is not a valid label")
-FIELD_RANGE = _warning("field-range", "a KITTI row has an invalid value of truncated or occluded, or a score")
-CLASS_SPELLING = _warning("class-spelling", "two class names differ only in case, spaces, `-` or `_`")
-TRACK_TWICE = _error("track-twice", "two objects of a frame have the same track id")
-TRACK_CLASS = _warning("track-class", "a track has changed its class since the previous frame")
+BROKEN_LABEL = _error("broken-label")
+FIELD_RANGE = _warning("field-range")
+CLASS_SPELLING = _warning("class-spelling")
+TRACK_TWICE = _error("track-twice")
+TRACK_CLASS = _warning("track-class")
 
 # Boxes
-IMPOSSIBLE_SIZE = _error("impossible-size", "a side of a box is shorter than 5 mm or longer than 60 m")
-IMPOSSIBLE_PLACE = _error("impossible-place", "the centre of a box is more than 10 km away")
-ODD_SIZE = _warning("odd-size", "a box is far from the median size of its class")
-DUPLICATE_LABEL = _error(
-    "duplicate-label", "two boxes are nearly the same: exact 3D IoU >= 0.7 (>= 0.9 for different classes)"
-)
-BOX_OVERLAP = _warning("box-overlap", "two boxes of a class overlap: exact 3D IoU >= 0.3")
-EMPTY_BOX = _warning("empty-box", "no point of the cloud lies in a box")
-SPARSE_BOX = _note("sparse-box", "fewer than 5 points of the cloud lie in a box")
-BOX_BEHIND_CAMERA = _error("box-behind-camera", "a box is fully behind the camera")
-BOX_OUTSIDE_IMAGE = _error("box-outside-image", "a box is in front of the camera but fully outside the image")
-HEADING_JUMP = _warning("heading-jump", "in a sequence a box has turned by more than 60 degrees in one frame")
-IMAGE_BOX_OFF = _warning("image-box-off", "KITTI: the 2D box does not match the projection of the 3D box (IoU < 0.4)")
-ALPHA_OFF = _warning(
-    "alpha-off", "KITTI: alpha differs from the value that rotation_y and the position give by more than 0.3 rad"
-)
+IMPOSSIBLE_SIZE = _error("impossible-size")
+IMPOSSIBLE_PLACE = _error("impossible-place")
+ODD_SIZE = _warning("odd-size")
+DUPLICATE_LABEL = _error("duplicate-label")
+BOX_OVERLAP = _warning("box-overlap")
+EMPTY_BOX = _warning("empty-box")
+SPARSE_BOX = _note("sparse-box")
+BOX_BEHIND_CAMERA = _error("box-behind-camera")
+BOX_OUTSIDE_IMAGE = _error("box-outside-image")
+HEADING_JUMP = _warning("heading-jump")
+IMAGE_BOX_OFF = _warning("image-box-off")
+ALPHA_OFF = _warning("alpha-off")
 
 # All boxes together
-ANGLE_UNIT = _error("angle-unit", "angles are not in the unit of their format, such as degrees where it has radians")
-LENGTH_UNIT = _error("length-unit", "the sizes of most boxes are not in metres, but in millimetres or centimetres")
-QUATERNION_ORDER = _error("quaternion-order", "boxes stand upright only if their quaternions are read in another order")
-SIZE_ORDER = _warning(
-    "size-order", "most boxes of well-known classes have a usual size only if length, width or height are exchanged"
-)
-MIRRORED_BOXES = _error("mirrored-boxes", "more than half of the boxes hold no points, but their mirror images do")
-FLAT_LABEL = _note("flat-label", "KITTI rows have a 2D box and no 3D box")
+ANGLE_UNIT = _error("angle-unit")
+LENGTH_UNIT = _error("length-unit")
+QUATERNION_ORDER = _error("quaternion-order")
+SIZE_ORDER = _warning("size-order")
+MIRRORED_BOXES = _error("mirrored-boxes")
+FLAT_LABEL = _note("flat-label")
 
 # Calibration
-IMPOSSIBLE_CAMERA = _error("impossible-camera", "the focal lengths are impossible for images of this size")
-CAMERA_OF_OTHER_SIZE = _warning("camera-of-other-size", "the principal point is far from the middle of the image")
-CLOUD_SCALE = _warning("cloud-scale", "the points are so near or far that their unit is probably not metres")
-CLOUD_OFF_DEPTH = _error("cloud-off-depth", "points of a depth camera do not project onto their own pixels")
-CLOUD_OFF_IMAGE = _error("cloud-off-image", "many points of a depth camera project outside its image")
-IMAGE_BARE = _warning("image-bare", "a LiDAR's points cover almost none of the image")
-BOXES_OFF_CLOUD = _error("boxes-off-cloud", "more than half of a dataset's boxes contain no point")
-BOXES_OFF_IMAGE = _error("boxes-off-image", "KITTI: more than half of a dataset's 2D boxes do not match the 3D boxes")
-CALIBRATION_OFF = _warning("calibration-off", "edges in depth do not lie on edges of the image (4 frames or more)")
-TIME_BACKWARDS = _warning("time-backwards", "in a sequence a frame is not later than the previous one")
+IMPOSSIBLE_CAMERA = _error("impossible-camera")
+CAMERA_OF_OTHER_SIZE = _warning("camera-of-other-size")
+CLOUD_SCALE = _warning("cloud-scale")
+CLOUD_OFF_DEPTH = _error("cloud-off-depth")
+CLOUD_OFF_IMAGE = _error("cloud-off-image")
+IMAGE_BARE = _warning("image-bare")
+BOXES_OFF_CLOUD = _error("boxes-off-cloud")
+BOXES_OFF_IMAGE = _error("boxes-off-image")
+CALIBRATION_OFF = _warning("calibration-off")
+TIME_BACKWARDS = _warning("time-backwards")
 
 
 class Finding(Strict):

@@ -463,8 +463,8 @@ def test_the_check_command_prints_findings_and_sets_the_exit_code(
 
 def test_the_docs_list_every_rule() -> None:
     text = (Path(__file__).parents[3] / "docs/checks.md").read_text()
-    rows = re.findall(r"^\| `([a-z0-9-]+)` \| (\w+) \| (.+) \|$", text, re.MULTILINE)
-    assert rows == [(rule.id, rule.severity, rule.meaning) for rule in RULES.values()]
+    rows = re.findall(r"^\| `([a-z0-9-]+)` \| (\w+) \| .+ \|$", text, re.MULTILINE)
+    assert rows == [(rule.id, rule.severity) for rule in RULES.values()]
 
 
 @pytest.mark.shared
