@@ -50,6 +50,10 @@ class Detectors:
         """The arguments of `RcvConfig.for_detector`."""
         return self.box_kind, self.class_agnostic, self.image_kind, self.trained
 
+    def load(self, threads: int | None) -> Detectors:
+        """As `TrainedDetectors.load`: they are loaded already."""
+        return self
+
     def settings(self, config: RcvConfig) -> RcvConfig:
         """Adapts the settings `config` to these detectors."""
         return config.for_detector(*self.kinds)

@@ -26,7 +26,7 @@ from annotator.types import BoxKind, Source
 from annotator.types.errors import ConfigError, FinalisedFrameError, HistoryError, ProjectError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.runner import Engine, InlineEngine, failure
-from annotator.workflows.proposing.tasks import FrameAnswer, FrameSpec, GivenDetectors, Task, pickle_exactly
+from annotator.workflows.proposing.tasks import FrameAnswer, FrameSpec, Task, pickle_exactly
 from annotator.workflows.recorded.adjusting import learn_up
 from annotator.workflows.tracks.propose_boxes import followed_tracks, seeds_of
 
@@ -160,7 +160,7 @@ def annotate(
     progress: Progress | None = None,
 ) -> AnnotateSummary:
     """Runs `annotate_with` in this process."""
-    engine = InlineEngine(GivenDetectors(detectors))
+    engine = InlineEngine(detectors)
     return annotate_with(project, engine, config, recordings=recordings, limit=limit, progress=progress)
 
 

@@ -194,17 +194,6 @@ class DetectorSource(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class GivenDetectors:
-    """Loaded detectors; pickling copies them."""
-
-    detectors: Detectors
-
-    def load(self, threads: int | None) -> Detectors:
-        """Returns the detectors."""
-        return self.detectors
-
-
 def packed(weights: Path) -> dict[str, bytes]:
     """The contents of the weights of a training and of the file beside them, by name."""
     try:

@@ -6,7 +6,6 @@ import hashlib
 import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate
@@ -15,11 +14,11 @@ from pathlib import Path
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import MANIFEST_NAME, DatasetManifest, TrainingSample, tiled, write_dataset
 from annotator.detection.pretrained import check_start
-from annotator.detection.trained import RUN_NAME, TrainedModel, read_run
+from annotator.detection.trained import LAST, TrainedModel, resumable
 from annotator.detection.training import TrainingProgress, TrainingStoppedError, train_detector
 from annotator.project import Project, StoredFrame, StoredModel
 from annotator.types import BoxKind, DetectorKind
-from annotator.types.errors import FormatError, FrameError
+from annotator.types.errors import FrameError
 from annotator.types.messages import amount
 from annotator.workflows.detectors import AGNOSTIC, UsedModel, load_detector
 from annotator.workflows.recorded.adjusting import learn_up
@@ -144,16 +143,12 @@ def unless_stopped(samples: Iterable[TrainingSample], check_stop: Callable[[], N
 
 
 def remove_leftovers(project: Project, role: DetectorKind) -> None:
-    """Removes what killed trainings of a role left: incomplete training sets, and timed runs without a model."""
+    """Removes what killed trainings of a role left: incomplete training sets, and runs that cannot be resumed."""
     folder = project.models_folder / role.value
     registered = {model.path.parent.resolve() for model in project.models.all(role)}
-    leftovers = list(folder.glob(f".{DATASET}.*.unfinished"))
-    for run in (path.parent for path in folder.glob(f"*/{RUN_NAME}")):
-        with suppress(FormatError):  # reported by a training that would continue it
-            record = read_run(run)
-            if record is not None and record.is_timed and run.resolve() not in registered:
-                leftovers.append(run)
-    for path in leftovers:
+    # a finished run has no checkpoints
+    runs = [path.parent for path in folder.glob("*/weights") if resumable(path / LAST) is None]
+    for path in (*folder.glob(f".{DATASET}.*.unfinished"), *(run for run in runs if run.resolve() not in registered)):
         shutil.rmtree(path, ignore_errors=True)
 
 

@@ -38,7 +38,6 @@ from annotator.workflows.proposing.ray_engine import LOCAL_SWITCHES, SWITCHES, R
 from annotator.workflows.proposing.runner import Engine, InlineEngine
 from annotator.workflows.proposing.tasks import (
     DetectorSource,
-    GivenDetectors,
     Identity,
     PackedDetectors,
     Storage,
@@ -242,7 +241,7 @@ def test_a_killed_driver_leaves_no_workers_and_a_restart_continues(
     wait_for(lambda: not is_alive(pid), "the worker outlives its driver")
     project.close()
     with open_project(project.path) as again:
-        done = annotate_with(again, InlineEngine(GivenDetectors(knowing("people"))), CONFIG)
+        done = annotate_with(again, InlineEngine(knowing("people")), CONFIG)
         assert done.skipped + done.done == 5 and done.skipped > 0
         assert stored(again) == expected
         assert again.problems() == []
@@ -318,7 +317,7 @@ def test_results_are_bitwise_equal_even_with_a_killed_actor(
 def test_without_ray_the_error_says_what_to_install(knowing: Knowing, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(MissingExtraError, match="ray is not installed"):
-        RayEngine(GivenDetectors(knowing("people")), 1, 1, Storage())
+        RayEngine(knowing("people"), 1, 1, Storage())
 
 
 def test_lost_actors_are_replaced_but_not_those_with_a_broken_environment(monkeypatch: pytest.MonkeyPatch) -> None:
