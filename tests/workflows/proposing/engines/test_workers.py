@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import shutil
 import signal
 import subprocess
 import sys
@@ -43,7 +44,6 @@ from annotator.workflows.proposing.tasks import (
     Storage,
     parse_elsewhere,
     scratch_folder,
-    unpacked,
 )
 
 SAME = Identity("image", "view", ("torch", "torch"), (BoxKind.BOX, False, BoxKind.BOX, False))
@@ -127,7 +127,7 @@ def test_invalid_mappings_are_errors(word: str) -> None:
         parse_elsewhere([word])
 
 
-def test_weights_are_unpacked_into_a_private_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_weights_are_sent_to_other_machines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "training"
     folder.mkdir()
     model = UsedModel(folder / "detector.pt", BoxKind.BOX, False, "f")
@@ -136,14 +136,18 @@ def test_weights_are_unpacked_into_a_private_folder(tmp_path: Path, monkeypatch:
         PackedDetectors.of(trained)
     (folder / "detector.pt").write_bytes(b"weights")
     (folder / "model.json").write_text("{}")
-    files, _ = PackedDetectors.of(trained).files
-    place = unpacked(files, tmp_path / "out") / "detector.pt"
-    place.unlink()  # the system may remove temporary files one by one
-    assert unpacked(files, tmp_path / "out") == place.parent and place.read_bytes() == b"weights"
-    assert sorted(path.name for path in place.parent.iterdir()) == ["detector.pt", "model.json"]
-    with pytest.raises(DetectionError, match=r"detector\.pt.*: cannot be written .*TMPDIR"):
-        unpacked(files, folder / "detector.pt")
+    packed = PackedDetectors.of(trained)
+    shutil.rmtree(folder)
 
+    def read(weights: Path, *_: object, **__: object) -> tuple[bytes, str]:
+        return weights.read_bytes(), weights.with_name("model.json").read_text()
+
+    monkeypatch.setattr("annotator.workflows.detectors.load_detector", read)
+    loaded = packed.load(1)
+    assert (loaded.image, loaded.view) == ((b"weights", "{}"),) * 2
+
+
+def test_the_folder_of_cached_recordings_is_private(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     assert scratch_folder().stat().st_mode & 0o077 == 0
     scratch_folder().chmod(0o777)
