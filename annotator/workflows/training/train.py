@@ -29,9 +29,7 @@ from annotator.workflows.training.rounds import (
     DEFAULT_VIEW_PX,
     FIRST_PART_S,
     Choice,
-    choose_start,
     image_config,
-    part_anew,
     part_seconds,
     starting_config,
 )
@@ -260,23 +258,22 @@ class _ViewTraining:
         project, plan = self.project, self.plan
         labels = self.material.labels_of(self.material.kind)
         held_out = HeldOut(project, labels, self._check_stop, self.material.kind)
-        start = choose_start(project, held_out, plan.view)
+        choice = Choice(project, held_out, plan.view)
         other_kind = len(self.material.views) - len(self.material.views_of_kind)
-        if other_kind and (start.model is None or not start.model.class_agnostic):
+        if other_kind and (choice.origin is None or not choice.origin.class_agnostic):
             kind = self.material.kind
             self.left_out.append(
                 f"{amount(other_kind, 'pseudo-view')} whose boxes are not of the majority kind, {kind}"
             )
-        self.left_out += start.left_out
-        self.view_px = start.view_px(plan.view)
+        self.left_out += choice.left_out
+        self.view_px = choice.view_px
         self.rcv = rcv_config(project, view_px=self.view_px)
-        choice = Choice(project, held_out, start)
         ends: list[float | None] = [None]
         anew = None
         if plan.view.epochs is None and (choice.origin is not None or plan.minutes is not None):
             lengths = list(part_seconds(plan.minutes or FIRST_PART_S / 60))
             ends = [begin + end for end in accumulate(lengths)]
-            anew = part_anew(lengths, start, held_out, plan.view)
+            anew = choice.part_anew(lengths)
         parts = []
         for number, end in enumerate(ends):
             report = None if self.report is None else partial(_in_part, self.report, number + 1, len(ends))
