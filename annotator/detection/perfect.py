@@ -92,7 +92,6 @@ class PerfectDetector:
 
     @property
     def box_kind(self) -> BoxKind:
-        """What the boxes measure."""
         return self._kind
 
     @property

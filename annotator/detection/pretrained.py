@@ -33,14 +33,11 @@ def base_weights() -> Path:
 
 
 def has_base() -> bool:
-    """True if this installation has the base detector."""
     return (FOLDER / "detector.safetensors").is_file()
 
 
 @dataclass(frozen=True)
 class StartingPoint:
-    """What a training run starts from."""
-
     weights: Path | None
     pretrained: bool
     note: str

@@ -81,7 +81,6 @@ class RunRecord(Strict):
 
 
 def read_trained(folder: Path) -> TrainedModel:
-    """Reads a finished run."""
     path, remedy = folder / MODEL_NAME, "train the detector again"
     missing = "the detector is not trained, or its training was interrupted"
     stored = read_record(path, TrainedModel, missing, remedy)
@@ -177,7 +176,6 @@ def read_weights(path: Path) -> tuple[Any, dict[str, float | None]]:
 
 
 def read_state(path: Path) -> TrainingState:
-    """The numbers of a checkpoint."""
     return _state(path, read_facts(path))
 
 

@@ -207,7 +207,6 @@ class YoloDetector:
 
     @property
     def backend(self) -> Backend:
-        """The backend that runs the network."""
         return self._network.backend
 
     @property

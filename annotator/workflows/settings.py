@@ -163,7 +163,6 @@ def _trained_px(project: Project) -> int | None:
 
 
 def editable(config: RcvConfig) -> str:
-    """Returns all settings as the text of a settings file."""
     return json.dumps(config.model_dump(mode="json", exclude=set(DERIVED)), indent=2)
 
 

@@ -202,7 +202,6 @@ class OpenVinoNetwork:
 
 
 def _cut(batch: Batch, lengths: Sequence[int]) -> list[Batch]:
-    """Cuts a batch into consecutive parts of these lengths."""
     ends = np.cumsum(lengths)
     return [batch[end - length : end] for end, length in zip(ends, lengths, strict=True)]
 

@@ -57,7 +57,6 @@ class AnnotateSummary:
 
     @property
     def failures(self) -> int:
-        """Number of failed frames."""
         return len(self.failed)
 
 
@@ -86,7 +85,6 @@ class Batch:
         return self.recordings[recording_id]
 
     def store(self, frame: StoredFrame, answer: FrameAnswer) -> None:
-        """Stores the result or the failure of a frame."""
         if answer.result is None:
             self._fail(frame, answer)
             return
@@ -221,7 +219,6 @@ def annotate_with(
 
 
 def require_limit(limit: int | None) -> None:
-    """Checks a limit."""
     if limit is not None and limit < 1:
         raise ConfigError(f"a limit of {limit} frames is too small; give 1 or more")
 

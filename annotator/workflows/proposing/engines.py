@@ -128,7 +128,6 @@ class LocalWorker:
         self._write(task)
 
     def end(self) -> None:
-        """Kills the worker."""
         with suppress(ProcessLookupError):
             self._process.kill()
         self._process.wait()
@@ -156,7 +155,6 @@ class LocalWorker:
 
 
 def exit_reason(code: int) -> str:
-    """Describes the exit code of a process."""
     if code == -signal.SIGKILL:
         return "killed, possibly out of memory"
     return f"by signal {-code}" if code < 0 else f"with exit code {code}"

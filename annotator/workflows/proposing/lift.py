@@ -152,7 +152,6 @@ class RenamedDetector:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The project's classes that it detects."""
         return tuple(sorted(self._classes & set(self._names.values())))
 
     @property
@@ -161,7 +160,6 @@ class RenamedDetector:
         return hashlib.sha256(f"{self._detector.fingerprint} {sorted(self._names.items())}".encode()).hexdigest()
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        """As `Detector.detect`."""
         return [
             [replace(box, label=self._names[box.label]) for box in boxes if self._names[box.label] in self._classes]
             for boxes in self._detector.detect(images)

@@ -38,7 +38,6 @@ class Fault:
 
 
 def fault_of(error: Exception) -> Fault:
-    """Returns the message for an error before the first task."""
     if isinstance(error, AnnotatorError):
         return Fault(str(error), False)
     return Fault("".join(traceback.format_exception(error)), True)

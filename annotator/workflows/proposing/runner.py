@@ -79,7 +79,6 @@ class TaskRunner:
 
     @property
     def identity(self) -> Identity:
-        """The detectors' identity."""
         pair = self.detectors
         return Identity(pair.image.fingerprint, pair.view.fingerprint, pair.backends, pair.kinds)
 

@@ -207,7 +207,6 @@ class PackedDetectors:
 
     @classmethod
     def of(cls, trained: TrainedDetectors) -> PackedDetectors:
-        """Reads the files."""
         paths = (trained.image.path, trained.view.path)
         try:
             names = [(path.parent, name) for path in paths for name in (path.name, MODEL_NAME)]

@@ -67,7 +67,6 @@ class Decision(Strict):
     reviewed: int | None = None
 
     def write(self, folder: Path) -> None:
-        """Writes `held_out.json`."""
         write_atomic(folder / DECISION_NAME, self.model_dump_json(indent=1).encode())
 
 
@@ -120,12 +119,10 @@ class HeldOut:
 
     @property
     def objects(self) -> int:
-        """Number of objects."""
         return sum(len(truths) for _, _, truths in self._frames)
 
     @property
     def frames(self) -> int:
-        """Number of frames with objects."""
         return len(self._frames)
 
     @property

@@ -53,7 +53,6 @@ def validation_pictures(model: Path) -> list[Path]:
 
 
 def _chosen(manifest: DatasetManifest) -> list[str]:
-    """Chooses evenly spaced validation images with boxes."""
     labelled = [entry.image for entry in manifest.entries if entry.split == manifest.measured_on and entry.boxes]
     if len(labelled) <= PICTURES:
         return labelled

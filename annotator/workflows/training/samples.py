@@ -42,8 +42,6 @@ Skip = Callable[[StoredFrame, FrameError], None]
 
 
 class SampleConfig(Strict):
-    """How many pseudo-views are generated for training."""
-
     views: int = Field(480, ge=1, description="approximate number of generated pseudo-views in all")
     seed: int = Field(0, ge=0, description="seed of the random axes and crops")
 
@@ -89,7 +87,6 @@ class Material:
 
     @property
     def image_kind(self) -> BoxKind:
-        """The box kind of most labelled camera images."""
         kinds = Counter(boxes.box_kind for boxes in self.images.values())
         return kinds.most_common(1)[0][0] if kinds else BoxKind.BOX
 
@@ -283,7 +280,6 @@ def _drawn_uids(drawn: ImageBoxes | ViewBoxes) -> tuple[str, ...]:
 
 
 def frame_group(stored: StoredFrame) -> str:
-    """The group of a frame's training samples."""
     return f"{stored.recording_id}/{stored.key}"
 
 

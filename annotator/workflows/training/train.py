@@ -70,8 +70,6 @@ class Trained:
 
 
 class Run:
-    """A run of one detector's training."""
-
     def __init__(self, project: Project, role: DetectorKind, classes: tuple[str, ...], kind: BoxKind) -> None:
         self.project, self.role, self.classes, self.kind = project, role, classes, kind
         # classes that are renamed from now on are translated
