@@ -118,7 +118,7 @@ class OpenVinoNetwork:
         self._joins: dict[tuple[tuple[int, ...], int], bool] = {}
 
     def predict(self, batches: Sequence[Batch]) -> list[Answer]:
-        """As `Network.predict`; new canvas sizes are compiled first."""
+        """One raw prediction per batch, as `yolo.candidates` reads it; new canvas sizes are compiled first."""
         count = sum(len(batch) for batch in batches)
         streams = min(self._threads, MAX_STREAMS) if side_by_side(count, self._threads) else 1
         try:

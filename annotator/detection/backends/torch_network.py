@@ -122,7 +122,7 @@ class TorchNetwork:
         self._lock = threading.Lock()
 
     def predict(self, batches: Sequence[Batch]) -> list[Answer]:
-        """As `Network.predict`, with at most `MAX_BATCH_PX` per forward pass."""
+        """One raw prediction per batch, as `yolo.candidates` reads it, with at most `MAX_BATCH_PX` per forward pass."""
         answers = []
         with self._lock, _threads(self._threads):
             for batch in batches:
