@@ -169,12 +169,9 @@ class Watch:
         if self.limit_s is not None:
             left = max(self.limit_s - self.seconds, 0.0)
         losses = {name: float(value) for name, value in (trainer.tloss or {}).items()}
-        at, note, is_timed = (batch, batches), self.begun.note, self.limit_s is not None
-        self.progress(
-            TrainingProgress(
-                self.role, epoch, self.epochs, *at, losses, *self._measured, self.seconds, left, note, is_timed
-            )
-        )
+        known, (map50, map50_95) = (self.role, epoch, self.epochs, batch, batches, losses), self._measured
+        note, is_timed = self.begun.note, self.limit_s is not None
+        self.progress(TrainingProgress(*known, map50, map50_95, self.seconds, left, note, is_timed))
 
 
 # Approximate number of validations per run, without `measure_every`.

@@ -90,26 +90,18 @@ def chosen(config: DetectorConfig) -> tuple[Backend, str]:
 
     Loads the packages of each candidate until one loads without an error.
     """
+    from annotator.detection.backends.openvino_network import computes_bfloat16, openvino
+    from annotator.detection.ultralytics_api import api
+
     reasons = ["there is a CUDA device" if has_cuda() else "no CUDA device that detectors can use"]
     for backend in _choices(config):
         try:
-            return _loaded(backend), "; ".join(reasons)
+            (api if backend == "torch" else openvino)()
+            usable = "openvino" if backend == "openvino-bf16" and not computes_bfloat16() else backend
+            return usable, "; ".join(reasons)
         except AnnotatorError as error:
             reasons.append(f"{backend} cannot be used: {error}")
     raise DetectionError("; ".join(reasons))
-
-
-def _loaded(backend: Backend) -> Backend:
-    """Loads the packages of a backend; returns openvino for openvino-bf16 on a processor without bfloat16."""
-    if backend == "torch":
-        from annotator.detection.ultralytics_api import api
-
-        api()
-        return backend
-    from annotator.detection.backends.openvino_network import computes_bfloat16, openvino
-
-    openvino()
-    return backend if backend == "openvino" or computes_bfloat16() else "openvino"
 
 
 @lru_cache(maxsize=1)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -46,15 +45,13 @@ def propose_image_boxes(
         config: with the settings of the detector; the orientation is set here.
         rotation: the rotations that boxes may have; AUTO depends on the frame's up direction.
     """
-    groups: dict[Orientation, list[int]] = defaultdict(list)
-    for index, frame in enumerate(frames):
-        groups[orientation_for(rotation, frame)].append(index)
     results: dict[int, FrameProposals] = {}
-    for orientation, indices in groups.items():
-        settings = config.model_copy(update={"orientation": orientation})
-        chosen, boxes = [frames[i] for i in indices], [image_boxes[i] for i in indices]
-        done = propose_from_boxes(chosen, boxes, view_detector, settings)
-        results.update(zip(indices, done, strict=True))
+    for orientation in Orientation:
+        indices = [i for i, frame in enumerate(frames) if orientation_for(rotation, frame) is orientation]
+        if indices:
+            settings = config.model_copy(update={"orientation": orientation})
+            chosen, boxes = [frames[i] for i in indices], [image_boxes[i] for i in indices]
+            results |= zip(indices, propose_from_boxes(chosen, boxes, view_detector, settings), strict=True)
     return [results[index] for index in range(len(frames))]
 
 

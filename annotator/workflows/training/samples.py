@@ -181,8 +181,8 @@ def view_samples(
         yield replace(sample, boxes=view.boxes, label_uids=_drawn_uids(view))
     for stored, labels, taught in taught_views(project, material, rcv, config, skip):
         uids = tuple(labels[index].uid for index in taught.objects if index < len(labels))
-        view = taught.view
-        yield TrainingSample(view.rgb, taught.boxes, frame_group(stored), TAUGHT, uids, view.look_px)
+        drawn = taught.view
+        yield TrainingSample(drawn.rgb, taught.boxes, frame_group(stored), TAUGHT, uids, drawn.look_px)
 
 
 def _drawn(project: Project, views: Sequence[ViewBoxes]) -> Iterator[tuple[ViewBoxes, TrainingSample]]:
