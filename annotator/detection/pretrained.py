@@ -140,9 +140,6 @@ def write_seeded_network(path: Path, name: str = "yolo11n", *, end2end: bool = F
 
     The weights are the same on every machine up to rounding, since torch draws them from a seed on the CPU. The
     state of torch's random number generator is restored afterwards.
-
-    Args:
-        end2end: whether the network predicts each object once; only some models support this.
     """
     torch = api().torch
     with torch.random.fork_rng(devices=[]):

@@ -202,12 +202,7 @@ def torch_build() -> str:
 
 
 def cuda_devices() -> list[CudaDevice]:
-    """The CUDA devices that torch can use.
-
-    Raises:
-        ImportError, OSError: torch is missing or broken.
-        RuntimeError: a device exists, but cannot be used.
-    """
+    """The CUDA devices that torch can use."""
     import torch
 
     if not torch.cuda.is_available():

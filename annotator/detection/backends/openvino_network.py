@@ -99,11 +99,6 @@ class OpenVinoNetwork:
     def __init__(
         self, facts: NetworkFacts, parts: Mapping[str, bytes], threads: int | None, *, bfloat16: bool = False
     ) -> None:
-        """
-        Args:
-            threads: CPU threads; None: all cores that the process may use.
-            bfloat16: compute in bfloat16, except the layers that `half_precision` keeps in single precision.
-        """
         self.backend: Backend = "openvino-bf16" if bfloat16 else "openvino"
         self.facts = facts
         self._threads = threads or usable_cores()

@@ -108,11 +108,6 @@ class TorchNetwork:
     backend: Backend = "torch"
 
     def __init__(self, weights: Path, device: Any, threads: int | None = None) -> None:
-        """
-        Args:
-            device: a torch device, as returned by `pick_device`.
-            threads: CPU threads; None: torch's default.
-        """
         module, self.facts = raw_network(weights, device)
         self._device = device
         self.device = str(device)

@@ -77,11 +77,7 @@ class GivenBoxes:
 
 
 def drawn_boxes(project: Project, only_without_labels: bool = False) -> GivenBoxes:
-    """Returns the boxes that were drawn or imported on the project's images.
-
-    Args:
-        only_without_labels: only those on frames that have no 3D box yet.
-    """
+    """Returns the boxes that were drawn or imported on the project's images."""
     drawn = [on_image for on_image in project.boxes.on_images() if on_image.boxes]
     boxes = {on_image.frame_id: on_image.boxes for on_image in drawn}
     silhouettes = {on_image.frame_id for on_image in drawn if on_image.box_kind is BoxKind.SILHOUETTE}

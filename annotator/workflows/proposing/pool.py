@@ -126,10 +126,6 @@ class WorkerPool:
     """An engine with a fixed number of workers."""
 
     def __init__(self, make: MakeWorker, workers: int) -> None:
-        """
-        Args:
-            make: starts a worker, which begins to load its detectors.
-        """
         self._make, self._workers = make, workers
         self._events: queue.SimpleQueue[tuple[int, Message]] = queue.SimpleQueue()
         self._slots: dict[int, _Slot] = {}

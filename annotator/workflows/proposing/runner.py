@@ -109,10 +109,6 @@ class InlineEngine:
     window = 1
 
     def __init__(self, source: DetectorSource, threads: int | None = None, storage: Storage | None = None) -> None:
-        """
-        Args:
-            threads: processor threads of each detector; None = all cores.
-        """
         self._source, self._threads, self._storage = source, threads, storage or Storage()
         self._runner: TaskRunner | None = None
         self._tasks: deque[Task] = deque()

@@ -157,11 +157,7 @@ def held_out_groups(project: Project) -> frozenset[str]:
 def lifted(
     frame: Frame, image_boxes: Sequence[Box2D], detector: Detector, config: RcvConfig, rotation: BoxRotation
 ) -> list[OrientedBox | None]:
-    """The best 3D box that a view detector finds from each 2D box, or None.
-
-    Args:
-        config: with the settings of the detector.
-    """
+    """The best 3D box that a view detector finds from each 2D box, or None."""
     (result,) = propose_image_boxes([frame], [image_boxes], detector, config, rotation)
     best: dict[int, OrientedBox] = {}
     for proposal in result.proposals:  # best first

@@ -333,12 +333,7 @@ def agnostic_samples(
 
 
 def with_generated(own: Iterable[TrainingSample], size_px: int, seed: int) -> Iterator[TrainingSample]:
-    """Yields a project's views, then views of generated frames, so that what the base detector knows is kept.
-
-    Args:
-        size_px: longer side of the generated views.
-        seed: other seeds give other frames.
-    """
+    """Yields a project's views, then views of generated frames, so that what the base detector knows is kept."""
     count = 0
     for sample in own:
         yield sample
