@@ -82,7 +82,6 @@ class _Demo:
         return lambda done, total: self.progress(stage, float(done), float(total))
 
     def end(self, stage: str) -> None:
-        """Ends a stage, and begins the next."""
         now = time.perf_counter()
         self.seconds[stage], self._begin = now - self._begin, now
 
@@ -171,7 +170,6 @@ class Reviewed:
 
     @property
     def boxes(self) -> int:
-        """Number of reviewed 3D boxes."""
         return self.accepted + self.adjusted + self.placed
 
 
@@ -345,7 +343,6 @@ def _label(
     config: RcvConfig,
     on_proposals: Callable[[], None],
 ) -> list[int]:
-    """Reviews a frame, and draws what is missing; returns the tracks to follow from here."""
     tracks = operator.review(stored)
     if operator.missing(stored):
         operator.draw(stored, view, config)

@@ -36,7 +36,7 @@ from annotator.workflows.proposing.annotate import TASK_FRAMES, annotate_with
 from annotator.workflows.proposing.engines import EngineName, make_engine
 from annotator.workflows.proposing.pool import WorkerPool
 from annotator.workflows.proposing.runner import Engine
-from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors
+from annotator.workflows.proposing.tasks import DetectorSource
 from annotator.workflows.recorded.reading import load_truth
 from benchmarks.report import Options, Table, guarded, program, seconds_of
 
@@ -140,10 +140,10 @@ def prepare_job(args: Arguments, folder: Path) -> Job:
         write_generated(folder / "source", PRESET, args.different, 0, args.width, args.width * 3 // 4)
         lengthen(folder / "source", folder / "recording", args.frames, args.different)
         detector = perfect_detector(folder / "source", args.different)
-        source: DetectorSource = GivenDetectors(Detectors(detector, detector))
+        source: DetectorSource = Detectors(detector, detector)
         base: DetectorSource | None = None
         if has_base():
-            base = GivenDetectors(Detectors(detector, load_detector(base_weights(), args.backend), BoxKind.BOX, True))
+            base = Detectors(detector, load_detector(base_weights(), args.backend), BoxKind.BOX, True)
         return Job(source, base, open_recording(folder / "recording"), (LABEL,), BoxRotation.AUTO, config, args.frames)
     with open_project(args.project / PROJECT) as project:
         trained, stored = trained_detectors(project, args.backend), project.config

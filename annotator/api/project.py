@@ -27,7 +27,7 @@ from annotator.workflows.live.detection import Detected
 from annotator.workflows.proposing.annotate import AnnotateSummary, annotate_with
 from annotator.workflows.proposing.engines import EngineName, make_engine
 from annotator.workflows.proposing.lift import propose_image_boxes
-from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors
+from annotator.workflows.proposing.tasks import DetectorSource
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.settings import rcv_config
 
@@ -333,4 +333,4 @@ class Project:
                     f"{detector!r} is not a detector; pass an object with labels, fingerprint and detect"
                 )
         image, kind = self._own_image() if image is None else (image, kind_of(image, image_kind, "image_kind"))
-        return GivenDetectors(self._pair(image, kind, view, box_kind))
+        return self._pair(image, kind, view, box_kind)

@@ -83,7 +83,6 @@ def read_record(path: Path, model: type[Record], missing: str, remedy: str) -> R
 
 
 def read_manifest(folder: Path) -> DatasetManifest:
-    """Reads the manifest of a training set folder."""
     missing = "this folder is not a training set written by annotator"
     return read_record(folder / MANIFEST_NAME, DatasetManifest, missing, "write the training set again")
 
@@ -107,7 +106,6 @@ Rgb = UInt8[np.ndarray, "h w 3"]
 
 
 def read_picture(path: Path) -> Picture:
-    """Reads a training image."""
     try:
         bgr = read_image(path, cv2.IMREAD_COLOR)
     except (OSError, ValueError) as error:
@@ -229,7 +227,6 @@ def _write_sample(
 
 
 def _require_training(entries: Sequence[ManifestEntry]) -> None:
-    """Some labelled frame trains."""
     # generated frames alone teach a project's detector nothing; the base detector learns from nothing else
     own = [entry for entry in entries if entry.origin != GENERATED] or entries
     with_boxes = [entry for entry in own if entry.boxes]

@@ -147,7 +147,6 @@ def _labels(dataset: Path, image: Path, classes: Sequence[str], width_px: int, h
 
 
 def _detection_of(label: Box2D, boxes: Sequence[Box2D]) -> Box2D | None:
-    """The detection of a labelled object, or None."""
     near = [(box, iou) for box in boxes if box.label == label.label and (iou := box_iou(box, label)) >= MIN_IOU]
     return max(near, key=lambda pair: pair[0].score * (STRANGER_WEIGHT + pair[1]))[0] if near else None
 

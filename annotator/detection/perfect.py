@@ -92,7 +92,6 @@ class PerfectDetector:
 
     @property
     def box_kind(self) -> BoxKind:
-        """What the boxes measure."""
         return self._kind
 
     @property
@@ -112,12 +111,7 @@ class PerfectDetector:
         return "perfect-" + digest.hexdigest()
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        """One list of boxes per image; the object with most points first.
-
-        Raises:
-            DetectionError: the frame is not one of `scenes`, or the image is neither a `Frame`, a `Region` of one,
-                nor a `PseudoView`.
-        """
+        """One list of boxes per image; the object with most points first."""
         # The views of one step share their points, so each cloud is searched once.
         counted: dict[int, tuple[Scene, Int64[np.ndarray, "k"]]] = {}
         detections = []
@@ -247,11 +241,7 @@ class NearestCluster:
         return f"nearest-cluster-1 {self._labels} {self._gap_m} {self._min_share}"
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        """One box per class on each pseudo-view; no box on a view without points.
-
-        Raises:
-            DetectionError: an image is not a pseudo-view, so it has no points.
-        """
+        """One box per class on each pseudo-view; no box on a view without points."""
         # the views of one step share their points
         groups: dict[int, Float32[np.ndarray, "k 3"]] = {}
         boxes_per_view = []

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable
 from dataclasses import dataclass
+from multiprocessing import TimeoutError as NoAnswerError
+from multiprocessing.pool import ThreadPool
 from pathlib import Path
-from typing import Any
 
 from annotator.detection.config import TrainingConfig
 from annotator.detection.ultralytics_api import api, cache_dir
@@ -34,14 +33,11 @@ def base_weights() -> Path:
 
 
 def has_base() -> bool:
-    """True if this installation has the base detector."""
     return (FOLDER / "detector.safetensors").is_file()
 
 
 @dataclass(frozen=True)
 class StartingPoint:
-    """What a training run starts from."""
-
     weights: Path | None
     pretrained: bool
     note: str
@@ -62,11 +58,16 @@ def find_starting_point(config: TrainingConfig, *, may_download: bool = True) ->
     random = f"starts from random weights: {name}.pt is not cached and"
     if api().user_offline or not may_download:
         return StartingPoint(None, False, f"{random} YOLO_OFFLINE is set")
+    pool = ThreadPool(1)  # of a daemon: a download without an answer holds nothing up
     try:
-        path = within(DOWNLOAD_TIMEOUT_S, lambda: download(f"{name}.pt"))
+        path = pool.apply_async(download, (f"{name}.pt",)).get(DOWNLOAD_TIMEOUT_S)
+    except NoAnswerError:
+        return StartingPoint(None, False, f"{random} there is no answer within {DOWNLOAD_TIMEOUT_S:.0f} s")
     except Exception as error:  # if the download fails for any reason, the training starts from random weights
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         return StartingPoint(None, False, f"{random} cannot be downloaded ({reason})")
+    finally:
+        pool.close()
     return StartingPoint(path, True, f"starts from published weights, downloaded to {path}")
 
 
@@ -127,26 +128,6 @@ def download(file_name: str) -> Path:
     return path
 
 
-def within(timeout_s: float, work: Callable[[], Any]) -> Any:
-    """The result of `work`, or TimeoutError; after a timeout, the work continues in a daemon thread."""
-    outcome: list[Any] = []
-
-    def run() -> None:
-        try:
-            outcome.extend((True, work()))
-        except BaseException as error:  # raised again in the waiting thread
-            outcome.extend((False, error))
-
-    thread = threading.Thread(target=run, daemon=True, name="annotator-download")
-    thread.start()
-    thread.join(timeout_s)
-    if len(outcome) < 2:
-        raise TimeoutError(f"no answer within {timeout_s:.0f} s")
-    if not outcome[0]:
-        raise outcome[1]
-    return outcome[1]
-
-
 # Factor on the random weights of the last layers. Without it, they would predict distances of hundreds of pixels, and
 # all scores would be 0 or 1.
 LAST_LAYER_GAIN = 0.1
@@ -159,9 +140,6 @@ def write_seeded_network(path: Path, name: str = "yolo11n", *, end2end: bool = F
 
     The weights are the same on every machine up to rounding, since torch draws them from a seed on the CPU. The
     state of torch's random number generator is restored afterwards.
-
-    Args:
-        end2end: whether the network predicts each object once; only some models support this.
     """
     torch = api().torch
     with torch.random.fork_rng(devices=[]):

@@ -1,4 +1,4 @@
-"""Files of a training run: `run.json` from its start, checkpoints, and `model.json` when it is finished."""
+"""Files of a training run: checkpoints, and `model.json` when it is finished."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from annotator.types import BoxKind, DetectorKind
 from annotator.types.bases import Strict
 from annotator.types.errors import DetectionError, FormatError
 
-MODEL_NAME, RUN_NAME = "model.json", "run.json"
+MODEL_NAME = "model.json"
 
 
 class TrainingMetrics(Strict):
@@ -66,41 +66,27 @@ class TrainedModel(Strict):
 
 
 class RunRecord(Strict):
-    """A training run that has started.
+    """What a checkpoint tells of its run.
 
     Attributes:
         fingerprint: hash of training set, settings and detector kind; only a run with the same hash is resumed.
         pretrained, note: what the run started from.
-        seconds: time spent up to the last complete epoch.
-        is_timed: whether it has a fixed duration; `annotator train` never resumes such a run, because its settings
-            depend on the clock.
+        seconds: training time so far.
     """
 
     fingerprint: str
     pretrained: bool
     note: str
     seconds: float
-    is_timed: bool = False
-
-    def write(self, folder: Path) -> None:
-        """Writes `run.json`."""
-        write_atomic(folder / RUN_NAME, self.model_dump_json(indent=1).encode())
 
 
 def read_trained(folder: Path) -> TrainedModel:
-    """Reads a finished run."""
     path, remedy = folder / MODEL_NAME, "train the detector again"
     missing = "the detector is not trained, or its training was interrupted"
     stored = read_record(path, TrainedModel, missing, remedy)
     if stored.weights.name != str(stored.weights):
         raise FormatError(path, f"names weights outside its folder ({stored.weights}); {remedy}")
     return stored.model_copy(update={"weights": folder / stored.weights})
-
-
-def read_run(folder: Path) -> RunRecord | None:
-    """Reads the run in a folder; None if the folder has no run."""
-    path, remedy = folder / RUN_NAME, "remove the folder and train again"
-    return read_record(path, RunRecord, remedy, remedy) if path.is_file() else None
 
 
 LAST, BEST = "last.safetensors", "best.safetensors"
@@ -113,12 +99,14 @@ class TrainingState(Strict):
     """Numbers of a checkpoint.
 
     Attributes:
+        epoch: the last finished one, from 0.
         updates: number of updates of the averaged weights.
         metrics: of this epoch's validation; None without one.
         groups: the optimiser's parameter groups without their parameters, which are listed by number.
         plain: the optimiser's state that is not a tensor, by parameter number and name.
     """
 
+    run: RunRecord
     epoch: int
     updates: int
     best_fitness: float | None
@@ -128,7 +116,7 @@ class TrainingState(Strict):
     plain: dict[str, dict[str, float]]
 
 
-def write_checkpoint(path: Path, trainer: Any, with_optimiser: bool = True) -> None:
+def write_checkpoint(path: Path, trainer: Any, run: RunRecord, with_optimiser: bool) -> None:
     """Writes a checkpoint of ultralytics' trainer, atomically.
 
     Args:
@@ -145,6 +133,7 @@ def write_checkpoint(path: Path, trainer: Any, with_optimiser: bool = True) -> N
             else:
                 plain.setdefault(str(number), {})[name] = float(value)
     state = TrainingState(
+        run=run,
         epoch=trainer.epoch,
         updates=trainer.ema.updates,
         best_fitness=_number(trainer.best_fitness),
@@ -186,15 +175,17 @@ def read_weights(path: Path) -> tuple[Any, dict[str, float | None]]:
     return _weights(path, tensors, facts), _state(path, facts).metrics
 
 
-def epochs_done(path: Path) -> int:
-    """Number of finished epochs of a checkpoint; 0 if a run cannot be resumed from it."""
-    if not path.is_file():
-        return 0
+def read_state(path: Path) -> TrainingState:
+    return _state(path, read_facts(path))
+
+
+def resumable(path: Path) -> TrainingState | None:
+    """The numbers of a checkpoint from which a run can be resumed; None if there is none, or a damaged one."""
     try:
-        state = _state(path, read_facts(path))
-    except DetectionError:  # a damaged checkpoint: the run starts again
-        return 0
-    return state.epoch + 1 if state.groups else 0
+        state = read_state(path)
+    except DetectionError:
+        return None
+    return state if state.groups else None
 
 
 def _weights(path: Path, tensors: dict[str, Any], facts: dict[str, str]) -> Any:

@@ -11,17 +11,16 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
-from annotator.detection.dataset import DatasetManifest
 from annotator.detection.trained import BEST, LAST, read_checkpoint, write_checkpoint
 from annotator.detection.ultralytics_api import api
 from annotator.detection.weights import load_weights
+
+if TYPE_CHECKING:
+    from annotator.detection.training import Watch
 
 # Muon with SGD, the most accurate optimiser on small training sets, fast enough for a CPU.
 #
@@ -105,7 +104,6 @@ class MuonSgd(torch.optim.Optimizer):
 
 
 _API = api()
-_Dataset: Any = _API.YOLODataset
 _Trainer: Any = _API.DetectionTrainer
 # Learning rate factor of the classification branch, whose biases are initialised for rare objects; as in Ultralytics.
 HEAD_LR_FACTOR = 3.0
@@ -116,69 +114,26 @@ NORM_MOMENTUM = 0.1
 SAVE_EVERY_S = 20.0
 
 
-@dataclass(frozen=True)
-class TrainerHooks:
-    """Parameters of a run besides ultralytics' settings.
-
-    Attributes:
-        measure_every: epochs between validations; the last epoch is always validated.
-        on_batch, on_epoch: called with the trainer after each batch, and after each epoch.
-    """
-
-    dataset: Path
-    manifest: DatasetManifest
-    device: Any
-    measure_every: int
-    on_batch: Callable[[Any], None]
-    on_epoch: Callable[[Any], None]
-    weights: Path | None = None
-    checkpoint: Path | None = None
-
-
-class ViewDataset(_Dataset):
-    """A YOLO training set, cached in memory without a progress bar."""
-
-    def cache_images(self) -> None:
-        for index in range(self.ni):
-            self.ims[index], self.im_hw0[index], self.im_hw[index] = self.load_image(index)
-
-
 class ViewTrainer(_Trainer):
-    """The trainer; `make_trainer` sets `hooks` before ultralytics' set-up runs."""
+    """The trainer; `make_trainer` sets `watch` before ultralytics' set-up runs."""
 
-    hooks: TrainerHooks
+    watch: Watch
     model: Any
     saved_at_s = 0.0
     metrics: Any
     fitness: float | None
 
     def get_dataset(self) -> dict[str, Any]:
-        hooks = self.hooks
-        images = hooks.dataset.resolve() / "images"
+        folder, manifest = self.watch.dataset.resolve(), self.watch.manifest
         return {
-            "path": hooks.dataset.resolve(),
-            "yaml_file": str(hooks.dataset.resolve() / "data.yaml"),
-            "train": str(images / "train"),
-            "val": str(images / hooks.manifest.measured_on),
-            "names": dict(enumerate(hooks.manifest.classes)),
-            "nc": len(hooks.manifest.classes),
+            "path": folder,
+            "yaml_file": str(folder / "data.yaml"),
+            "train": str(folder / "images" / "train"),
+            "val": str(folder / "images" / manifest.measured_on),
+            "names": dict(enumerate(manifest.classes)),
+            "nc": len(manifest.classes),
             "channels": 3,
         }
-
-    def build_dataset(self, img_path: str, mode: str = "train", batch: int | None = None) -> Any:
-        training = mode == "train"
-        return ViewDataset(
-            img_path=img_path,
-            imgsz=self.args.imgsz,
-            batch_size=batch,
-            augment=training,
-            hyp=self.args,
-            rect=not training,
-            cache=self.args.cache,
-            stride=max(int(self.model.stride.max()), 32),
-            pad=0.0 if training else 0.5,
-            data=self.data,
-        )
 
     def get_model(self, cfg: Any = None, weights: Any = None, verbose: bool = True) -> Any:
         # The initial weights depend only on the seed.
@@ -193,12 +148,12 @@ class ViewTrainer(_Trainer):
         # The base class has just limited torch to one thread fewer than cores.
         _API.torch.set_num_threads(_API.threads)
         super()._setup_train()
-        if self.hooks.device.type == "cpu":
+        if self.watch.device.type == "cpu":
             self.model = self.model.to(memory_format=_API.torch.channels_last)
 
     def preprocess_batch(self, batch: dict[str, Any]) -> dict[str, Any]:
         batch = super().preprocess_batch(batch)
-        if self.hooks.device.type == "cpu":
+        if self.watch.device.type == "cpu":
             batch["img"] = batch["img"].contiguous(memory_format=_API.torch.channels_last)
         return batch
 
@@ -216,7 +171,7 @@ class ViewTrainer(_Trainer):
         return super().build_optimizer(model, name, lr, momentum, decay, iterations)
 
     def validate(self) -> Any:
-        if (self.epoch + 1) % self.hooks.measure_every == 0 or self.epoch + 1 >= self.epochs or self.stop:
+        if (self.epoch + 1) % self.watch.measure_every == 0 or self.epoch + 1 >= self.epochs or self.stop:
             return self.validate_now()
         return dict.fromkeys(self.metrics, float("nan")), None
 
@@ -226,17 +181,17 @@ class ViewTrainer(_Trainer):
 
     def check_resume(self, overrides: dict[str, Any]) -> None:
         """Decides whether the run is resumed; its settings are always those given."""
-        self.resume = self.hooks.checkpoint is not None
+        self.resume = self.watch.checkpoint is not None
 
     def setup_model(self) -> Any:
         """Builds the network; returns the checkpoint to resume from, or None."""
-        checkpoint = None if self.hooks.checkpoint is None else read_checkpoint(self.hooks.checkpoint)
-        if checkpoint is not None:
+        checkpoint = weights = None
+        if self.watch.checkpoint is not None:
+            checkpoint = read_checkpoint(self.watch.checkpoint)
             weights = checkpoint["ema"]
-        else:
-            weights = None if self.hooks.weights is None else load_weights(self.hooks.weights, "cpu")
-        cfg = self.model if weights is None else weights.yaml
-        self.model = self.get_model(cfg=cfg, weights=weights)
+        elif self.watch.weights is not None:
+            weights = load_weights(self.watch.weights, "cpu")
+        self.model = self.get_model(cfg=self.model if weights is None else weights.yaml, weights=weights)
         return checkpoint
 
     def save_model(self) -> bool:
@@ -244,11 +199,13 @@ class ViewTrainer(_Trainer):
         measured, last = self.fitness is not None, self.epoch + 1 >= self.epochs
         if measured or last or time.monotonic() - self.saved_at_s > SAVE_EVERY_S:
             self.wdir.mkdir(parents=True, exist_ok=True)
-            write_checkpoint(self.wdir / LAST, self)
+            record = self.watch.record
+            # a run of fixed duration is never resumed, since its settings depend on the clock
+            write_checkpoint(self.wdir / LAST, self, record, with_optimiser=self.watch.limit_s is None)
             if self.best_fitness == self.fitness:
-                write_checkpoint(self.wdir / BEST, self, with_optimiser=False)
+                write_checkpoint(self.wdir / BEST, self, record, with_optimiser=False)
             self.saved_at_s = time.monotonic()
-        self.hooks.on_epoch(self)
+        self.watch.on_epoch(self)
         return True
 
     def _handle_nan_recovery(self, epoch: int) -> bool:
@@ -264,11 +221,11 @@ class ViewTrainer(_Trainer):
             self.save_model()
 
 
-def make_trainer(overrides: dict[str, Any], hooks: TrainerHooks) -> ViewTrainer:
+def make_trainer(overrides: dict[str, Any], watch: Watch) -> ViewTrainer:
     """A trainer that is ready for `train()`; `overrides` are ultralytics' settings."""
-    ready = type("ReadyTrainer", (ViewTrainer,), {"hooks": hooks})
+    ready = type("ReadyTrainer", (ViewTrainer,), {"watch": watch})
     trainer = ready(overrides=overrides)
-    trainer.add_callback("on_train_batch_end", hooks.on_batch)
+    trainer.add_callback("on_train_batch_end", watch.on_batch)
     return trainer
 
 

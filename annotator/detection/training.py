@@ -7,8 +7,8 @@ import math
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,19 +19,20 @@ from annotator.detection.pretrained import check_model_name, check_weights, find
 from annotator.detection.trained import (
     BEST,
     LAST,
+    MODEL_NAME,
     RunRecord,
     TrainedModel,
     TrainingMetrics,
-    epochs_done,
-    read_run,
+    read_state,
     read_trained,
     read_weights,
+    resumable,
 )
 from annotator.detection.ultralytics_api import api, pick_device
 from annotator.detection.weights import write_network
 from annotator.files import read_text_file
 from annotator.types import DetectorKind
-from annotator.types.errors import ConfigError, DetectionError
+from annotator.types.errors import ConfigError, DetectionError, FormatError
 
 
 @dataclass(frozen=True)
@@ -87,24 +88,42 @@ Report = Callable[[TrainingProgress], None]
 
 @dataclass
 class Watch:
-    """Reports progress to the caller, checks for a stop request, and adds up the time over resumes.
+    """A run. It reports progress to the caller, checks for a stop request, and adds up the time over resumes.
 
     Attributes:
+        begun: what it started from, and the time before it was resumed.
+        weights: those of another detector to start from; None = random ones.
+        checkpoint: one of this run, to resume from.
+        epochs: of a run of fixed duration, an estimate.
+        measure_every: epochs between validations; the last epoch is always validated.
         limit_s: duration of the run; None = until its epochs are done.
     """
 
+    dataset: Path
+    manifest: DatasetManifest
+    config: TrainingConfig
     role: DetectorKind
-    run: RunRecord
     out: Path
-    epochs: int
-    progress: Report | None
-    stop: Callable[[], bool] | None
-    limit_s: float | None = None
-    _begin: float = field(default_factory=time.monotonic)
-    _paused_s: float = 0.0
-    _batch: int = 0
-    _first_epoch: int = -1
-    _measured: tuple[float, float] | tuple[None, None] = (None, None)
+    device: Any
+    begun: RunRecord
+    weights: Path | None = None
+    checkpoint: Path | None = None
+    progress: Report | None = None
+    stop: Callable[[], bool] | None = None
+
+    def __post_init__(self) -> None:
+        config = self.config
+        self.epochs = config.epochs_for(self.manifest.images["train"])
+        self.measure_every = config.measure_every or max(math.ceil(self.epochs / MEASUREMENTS), 1)
+        self.limit_s = None if config.epochs else config.seconds
+        self._begin, self._paused_s = time.monotonic(), 0.0
+        self._batch, self._first_epoch = 0, -1
+        self._measured: tuple[float, float] | tuple[None, None] = (None, None)
+
+    @property
+    def record(self) -> RunRecord:
+        """What it started from, and its time so far."""
+        return self.begun.model_copy(update={"seconds": self.begun.seconds + self.seconds})
 
     @property
     def seconds(self) -> float:
@@ -130,7 +149,6 @@ class Watch:
         if trainer.fitness is not None:
             metrics = trainer.metrics
             self._measured = float(metrics["metrics/mAP50(B)"]), float(metrics["metrics/mAP50-95(B)"])
-        self.run.model_copy(update={"seconds": self.run.seconds + self.seconds}).write(self.out)
         with self._clock_stopped(trainer):
             self._send(trainer, trainer.epoch + 1, 0, len(trainer.train_loader))
 
@@ -148,15 +166,12 @@ class Watch:
             return
         done = epoch - self._first_epoch + batch / batches
         left = self.seconds / done * (self.epochs - self._first_epoch - done) if done > 0 else None
-        is_timed = self.limit_s is not None
         if self.limit_s is not None:
             left = max(self.limit_s - self.seconds, 0.0)
         losses = {name: float(value) for name, value in (trainer.tloss or {}).items()}
-        at, seconds, (map50, map50_95) = (batch, batches), self.seconds, self._measured
-        step = TrainingProgress(
-            self.role, epoch, self.epochs, *at, losses, map50, map50_95, seconds, left, self.run.note, is_timed
-        )
-        self.progress(step)
+        known, (map50, map50_95) = (self.role, epoch, self.epochs, batch, batches, losses), self._measured
+        note, is_timed = self.begun.note, self.limit_s is not None
+        self.progress(TrainingProgress(*known, map50, map50_95, self.seconds, left, note, is_timed))
 
 
 # Approximate number of validations per run, without `measure_every`.
@@ -192,60 +207,48 @@ def train_detector(
         raise ConfigError(f"{out.resolve()}: a detector cannot be kept in a folder with a question mark; rename it")
     manifest = read_manifest(dataset)
     device = pick_device(config.device)
-    fingerprint = _fingerprint(manifest, config, role)
-    run, checkpoint = read_run(out), out / "weights" / LAST
-    if run is not None and run.fingerprint == fingerprint and (out / "model.json").is_file():
-        finished = read_trained(out)
-        if finished.weights.is_file():
-            return finished
-    done, weights = epochs_done(checkpoint), None
-    if run is None or run.fingerprint != fingerprint or done == 0:
-        start, done = find_starting_point(config), 0
+    fingerprint = _fingerprint(manifest.sha256, config, role)
+    with suppress(FormatError):  # not finished, or damaged
+        known = read_trained(out)
+        if known.weights.is_file() and _fingerprint(known.dataset_sha256, known.config, known.role) == fingerprint:
+            return known
+    checkpoint, weights = out / "weights" / LAST, None
+    state = resumable(checkpoint)
+    if state is None or state.run.fingerprint != fingerprint:
+        start, state = find_starting_point(config), None
         weights = start.weights
         if weights is not None:
             check_weights(weights)
         _clear(out)
         out.mkdir(parents=True, exist_ok=True)
-        known = {"fingerprint": fingerprint, "pretrained": start.pretrained, "note": start.note, "seconds": 0.0}
-        run = RunRecord(**known, is_timed=config.seconds is not None)
-        run.write(out)
-    limit_s = None if config.epochs else config.seconds
-    watch = Watch(role, run, out, config.epochs_for(manifest.images["train"]), progress, stop, limit_s)
-    if done < watch.epochs or limit_s is not None:
-        _run(dataset, manifest, config, device, weights, checkpoint if done else None, watch)
-    return _finish(dataset, manifest, config, watch)
+        begun = RunRecord(fingerprint=fingerprint, pretrained=start.pretrained, note=start.note, seconds=0.0)
+    else:
+        begun = state.run
+    resumed = None if state is None else checkpoint
+    watch = Watch(dataset, manifest, config, role, out, device, begun, weights, resumed, progress, stop)
+    if state is None or state.epoch + 1 < watch.epochs:
+        _run(watch, 0 if state is None else state.epoch + 1)
+    return _finish(watch)
 
 
-def _run(
-    dataset: Path,
-    manifest: DatasetManifest,
-    config: TrainingConfig,
-    device: Any,
-    weights: Path | None,
-    checkpoint: Path | None,
-    watch: Watch,
-) -> None:
-    from annotator.detection.trainer import TrainerHooks, make_trainer
+def _run(watch: Watch, epochs_done: int) -> None:
+    from annotator.detection.trainer import make_trainer
 
-    every = config.measure_every or max(math.ceil(watch.epochs / MEASUREMENTS), 1)
-    hooks = TrainerHooks(dataset, manifest, device, every, watch.on_batch, watch.on_epoch, weights, checkpoint)
-    out = watch.out
-    settings = trainer_settings(config, watch.role, watch.epochs, str(device), out)
-    settings["model"] = f"{check_model_name(config.model)}.yaml"
-    if checkpoint is not None:
-        settings["resume"] = True  # keeps the curves
-        _trim_curves(out / "results.csv", epochs_done(checkpoint))
-    # The trainer checks that this file exists before it calls get_dataset.
-    settings["data"] = str(dataset.resolve() / "data.yaml")
+    settings = trainer_settings(watch.config, watch.role, watch.epochs, str(watch.device), watch.out)
+    settings["model"] = f"{check_model_name(watch.config.model)}.yaml"
     # a checkpoint that somebody else wrote may lack settings, or have others
     failures: tuple[type[Exception], ...] = (RuntimeError, ValueError, OSError, AssertionError)
-    if checkpoint is not None:
+    if watch.checkpoint is not None:
+        settings["resume"] = True  # keeps the curves
+        _trim_curves(watch.out / "results.csv", epochs_done)
         failures += (LookupError, TypeError, AttributeError)
+    # The trainer checks that this file exists before it calls get_dataset.
+    settings["data"] = str(watch.dataset.resolve() / "data.yaml")
     with _unchanged_torch():
         try:
-            make_trainer(settings, hooks).train()
+            make_trainer(settings, watch).train()
         except failures as error:
-            raise DetectionError(f"training in {out} failed: {error}") from error
+            raise DetectionError(f"training in {watch.out} failed: {error}") from error
 
 
 def trainer_settings(config: TrainingConfig, role: DetectorKind, epochs: int, device: str, out: Path) -> dict[str, Any]:
@@ -306,15 +309,15 @@ def _unchanged_torch() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-def _fingerprint(manifest: DatasetManifest, config: TrainingConfig, role: DetectorKind) -> str:
+def _fingerprint(dataset_sha256: str, config: TrainingConfig, role: DetectorKind) -> str:
     """Hash of all that determines a run: training set, settings, detector kind."""
     settings = config.model_dump_json(exclude={"device"})
-    return hashlib.sha256(f"{manifest.sha256} {role} {settings}".encode()).hexdigest()
+    return hashlib.sha256(f"{dataset_sha256} {role} {settings}".encode()).hexdigest()
 
 
 def _clear(out: Path) -> None:
     """Removes the files of an earlier run, and no others."""
-    for name in ("model.json", "run.json", DETECTOR, "curves.csv", "results.csv", "args.yaml"):
+    for name in (MODEL_NAME, DETECTOR, "curves.csv", "results.csv", "args.yaml"):
         (out / name).unlink(missing_ok=True)
     shutil.rmtree(out / "weights", ignore_errors=True)
 
@@ -327,9 +330,9 @@ def _trim_curves(path: Path, epochs_done: int) -> None:
     path.write_text("".join(lines[: epochs_done + 1]), encoding="utf-8")
 
 
-def _finish(dataset: Path, manifest: DatasetManifest, config: TrainingConfig, watch: Watch) -> TrainedModel:
+def _finish(watch: Watch) -> TrainedModel:
     """Writes the best weights, the curves and `model.json`; removes the files that only a resume needs."""
-    role, out = watch.role, watch.out
+    role, out, manifest, record = watch.role, watch.out, watch.manifest, watch.record
     best = out / "weights" / BEST
     if not best.is_file():
         raise DetectionError(f"{best}: the training wrote no weights; train again")
@@ -342,7 +345,7 @@ def _finish(dataset: Path, manifest: DatasetManifest, config: TrainingConfig, wa
         weights=out / DETECTOR,
         classes=manifest.classes,
         kind=manifest.kind,
-        image_size_px=config.image_size_px,
+        image_size_px=watch.config.image_size_px,
         metrics=TrainingMetrics(
             map50=measured["metrics/mAP50(B)"],
             map50_95=measured["metrics/mAP50-95(B)"],
@@ -350,15 +353,15 @@ def _finish(dataset: Path, manifest: DatasetManifest, config: TrainingConfig, wa
             recall=measured["metrics/recall(B)"],
             measured_on=manifest.measured_on,
         ),
-        epochs=epochs_done(out / "weights" / LAST),
-        seconds=watch.run.seconds + watch.seconds,
-        pretrained=watch.run.pretrained,
-        note=watch.run.note,
+        epochs=read_state(out / "weights" / LAST).epoch + 1,
+        seconds=record.seconds,
+        pretrained=record.pretrained,
+        note=record.note,
         dataset_sha256=manifest.sha256,
-        config=config,
+        config=watch.config,
     )
     if role is DetectorKind.VIEW:
-        trained = with_edge_errors(trained, dataset, manifest, config.device)
+        trained = with_edge_errors(trained, watch.dataset, manifest, watch.config.device)
     trained.write(out)
     shutil.rmtree(out / "weights", ignore_errors=True)
     (out / "args.yaml").unlink(missing_ok=True)

@@ -54,7 +54,7 @@ def forget_oldest(folder: Path) -> None:
 def api() -> SimpleNamespace:
     """The parts of ultralytics and torch that are used here, loaded on the first call.
 
-    Attributes: `torch`, `DetectionModel`, `DetectionTrainer`, `YOLODataset`, `downloads`, `weights_dir`, `version`;
+    Attributes: `torch`, `DetectionModel`, `DetectionTrainer`, `downloads`, `weights_dir`, `version`;
     `threads`, torch's default number of threads; and `user_offline`, whether the user had set YOLO_OFFLINE. There is
     nothing that reads weights: that is `weights.load_weights`.
     """
@@ -83,18 +83,18 @@ def _load() -> SimpleNamespace:
     # SETTINGS.update would write the user's settings file
     dict.update(utils.SETTINGS, dict.fromkeys(SERVICES, False))
     utils.LOGGER.setLevel("ERROR")
-    from ultralytics.data import dataset
+    from ultralytics.data import base, dataset
     from ultralytics.models.yolo.detect import DetectionTrainer
     from ultralytics.nn import tasks
     from ultralytics.utils import checks, downloads
 
     _find_architectures_in_the_package(tasks, checks, Path(ultralytics.__file__).parent / "cfg" / "models")
     dataset.load_dataset_cache_file = _unread
+    base.LOCAL_RANK = 1  # its only use: images are cached without a progress bar
     return SimpleNamespace(
         torch=torch,
         DetectionModel=tasks.DetectionModel,
         DetectionTrainer=DetectionTrainer,
-        YOLODataset=dataset.YOLODataset,
         downloads=downloads,
         threads=threads,
         weights_dir=Path(utils.SETTINGS["weights_dir"]),
@@ -202,12 +202,7 @@ def torch_build() -> str:
 
 
 def cuda_devices() -> list[CudaDevice]:
-    """The CUDA devices that torch can use.
-
-    Raises:
-        ImportError, OSError: torch is missing or broken.
-        RuntimeError: a device exists, but cannot be used.
-    """
+    """The CUDA devices that torch can use."""
     import torch
 
     if not torch.cuda.is_available():

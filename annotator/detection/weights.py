@@ -63,7 +63,6 @@ def is_network_file(path: Path) -> bool:
 
 
 def describe(model: Any) -> NetworkDescription:
-    """The description of a detection model."""
     labels = tuple(str(model.names[number]) for number in sorted(model.names))
     name = Path(str(model.yaml.get("yaml_file", ""))).stem
     try:

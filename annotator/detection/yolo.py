@@ -181,10 +181,6 @@ class YoloDetector:
     """A trained detector: takes RGB images of any size, returns boxes in pixels of each image."""
 
     def __init__(self, weights: Path, config: DetectorConfig) -> None:
-        """
-        Args:
-            weights: the file of a training run, or ultralytics' own detection weights.
-        """
         self.weights = weights
         self._config = config
         try:
@@ -207,7 +203,6 @@ class YoloDetector:
 
     @property
     def backend(self) -> Backend:
-        """The backend that runs the network."""
         return self._network.backend
 
     @property

@@ -50,6 +50,10 @@ class Detectors:
         """The arguments of `RcvConfig.for_detector`."""
         return self.box_kind, self.class_agnostic, self.image_kind, self.trained
 
+    def load(self, threads: int | None) -> Detectors:
+        """As `TrainedDetectors.load`: they are loaded already."""
+        return self
+
     def settings(self, config: RcvConfig) -> RcvConfig:
         """Adapts the settings `config` to these detectors."""
         return config.for_detector(*self.kinds)
@@ -114,12 +118,10 @@ class UsedModel:
 
     @property
     def trained(self) -> bool:
-        """Whether it was trained on objects of the project."""
         return not self.name
 
     @property
     def described(self) -> str:
-        """For people: which detector it is."""
         return self.name or f"project's detector {self.path.parent.name}"
 
 
@@ -169,12 +171,10 @@ def own_model(project: Project, model: StoredModel) -> UsedModel:
 
 
 def base_model() -> UsedModel:
-    """The base detector."""
     return UsedModel(base_weights(), BoxKind.BOX, True, NAME, NAME)
 
 
 def detector_title(name: str) -> str:
-    """Names a view detector for people."""
     return TITLE if name == NAME else "this project's view detector"
 
 
@@ -202,7 +202,6 @@ class ReportedStatistics(Statistics):
 
 
 def reported_statistics(project: Project) -> ReportedStatistics:
-    """Returns the statistics of a project as they are shown to people."""
     used = used_model(project, DetectorKind.VIEW)
     named = None if used is None else detector_title(used.name)
     return ReportedStatistics(**dict(project.statistics()), view_detector=named)

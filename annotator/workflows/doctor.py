@@ -27,8 +27,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import annotator
-from annotator.detection.backends.choose import chosen, open_network
-from annotator.detection.backends.network import Answer, Network, usable_cores
+from annotator.detection.backends.choose import Network, chosen, open_network
+from annotator.detection.backends.network import Answer, usable_cores
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.pretrained import TITLE, base_weights, has_base
 from annotator.detection.trained import read_trained

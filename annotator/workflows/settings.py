@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Mapping
+from functools import cache
 from itertools import permutations
 from pathlib import Path
 from typing import Any
@@ -41,17 +42,17 @@ REORDERED = 0.1
 def reviewed_sizes(project: Project, without_frames: Collection[int] = ()) -> tuple[TypicalSize, ...]:
     """The typical size of each class with reviewed boxes."""
     sizes = []
-    recordings = {frame.id: frame.recording_id for frame in project.frames.of()}
+    recording_of = cache(lambda frame_id: project.frames.get(frame_id).recording_id)
     for label in project.config.classes:
         # the latest box of each track, and all boxes without one
         boxes: dict[tuple[int, ...], OrientedBox] = {}
         for number, item in enumerate(project.labels.recent(MOST_READ, label=label)):
-            if item.frame_id not in without_frames:
+            if item.frame_id not in without_frames and len(boxes) < MOST_BOXES:
                 track_id = item.label.track_id
-                track = (number,) if track_id is None else (recordings[item.frame_id], track_id)
+                track = (number,) if track_id is None else (recording_of(item.frame_id), track_id)
                 boxes.setdefault(track, item.label.box)
         if boxes:
-            sizes.append(_typical(label, list(boxes.values())[:MOST_BOXES], project.config.settings.rotation))
+            sizes.append(_typical(label, list(boxes.values()), project.config.settings.rotation))
     return tuple(sizes)
 
 
@@ -162,7 +163,6 @@ def _trained_px(project: Project) -> int | None:
 
 
 def editable(config: RcvConfig) -> str:
-    """Returns all settings as the text of a settings file."""
     return json.dumps(config.model_dump(mode="json", exclude=set(DERIVED)), indent=2)
 
 

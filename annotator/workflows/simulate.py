@@ -166,7 +166,6 @@ def simulate_recording(
 
     Args:
         config: how pseudo-views are drawn; its orientation is set for each frame from the project's rotation.
-        progress: called with (frames labelled, frames to label).
     """
     if every < 1:
         raise ConfigError(f"cannot label every {every} frames; give 1 or more")

@@ -13,7 +13,7 @@ from typing import Any
 
 from annotator.cli.main import main
 from annotator.detection.config import TrainingConfig
-from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics
+from annotator.detection.trained import TrainedModel, TrainingMetrics
 from annotator.detection.ultralytics_api import api
 from annotator.project import Project, open_project
 from annotator.types import BoxKind, DetectorKind
@@ -125,7 +125,6 @@ def _model(project: Project, role: DetectorKind, weights: bytes, name: str, trap
         dataset_sha256="",
         config=config,
     ).write(folder)
-    RunRecord(fingerprint="", pretrained=False, note="", seconds=1.0).write(folder)
     facts: dict[str, Any] = {"labels": ["person"], "box_kind": BoxKind.BOX, "metrics": {"map50": 1.0}}
     project.models.register(role, folder / name, fingerprint=role.value, **facts)
 

@@ -89,7 +89,6 @@ def _load(recording: Path) -> None:
     from annotator.recordings import open_recording
     from annotator.types import BoxKind
     from annotator.workflows.detectors import Detectors
-    from annotator.workflows.proposing.tasks import GivenDetectors
     from annotator.workflows.recorded.reading import load_truth
 
     api()  # imported by its own name, ultralytics would write to the standard output on a new machine
@@ -100,7 +99,7 @@ def _load(recording: Path) -> None:
     frames = [opened.frame(index) for index in range(len(opened))]
     scenes = [Scene.of(frame, load_truth(opened, index, frame)) for index, frame in enumerate(frames)]
     knows = PerfectDetector(scenes, BoxKind.BOX, min_points=50)
-    source = GivenDetectors(Detectors(knows, knows, BoxKind.BOX))
+    source = Detectors(knows, knows, BoxKind.BOX)
     commands["annotate"].trained_detectors = lambda *_: source  # type: ignore[attr-defined]
 
 

@@ -16,7 +16,6 @@ from annotator.formats.frame_names import PictureLabels
 from annotator.formats.rcv import read_rcv
 from annotator.project import WriteContext, open_project
 from annotator.types import Box2D
-from annotator.workflows.proposing.tasks import GivenDetectors
 
 Run = Callable[..., str]
 Stats = Callable[[str], dict[str, Any]]
@@ -82,7 +81,7 @@ def test_annotate_with_a_bad_frame_returns_1(
     folder = own_copy("people")
     depth = folder / "depth" / "000002.png"
     depth.write_bytes(depth.read_bytes()[:700])
-    monkeypatch.setattr(annotate_command, "trained_detectors", lambda *_: GivenDetectors(knowing("people")))
+    monkeypatch.setattr(annotate_command, "trained_detectors", lambda *_: knowing("people"))
     run("new", "room", "--classes", "person")
     run("add", "room", folder, "--no-labels")
     said = run("annotate", "room", "--axes", "camera", code=1)

@@ -18,9 +18,8 @@ import pytest
 
 from annotator.detection.backends import choose, openvino_network
 from annotator.detection.backends import export as export_module
-from annotator.detection.backends.choose import open_network
+from annotator.detection.backends.choose import Network, open_network
 from annotator.detection.backends.export import Export, find_export
-from annotator.detection.backends.network import Network
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.trained import TrainedModel
 from annotator.types.errors import ConfigError, DetectionError

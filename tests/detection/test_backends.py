@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from annotator.detection.backends import choose, openvino_network
-from annotator.detection.backends.choose import open_network
-from annotator.detection.backends.network import Network
+from annotator.detection.backends.choose import Network, open_network
 from annotator.detection.config import Backend, DetectorConfig, EdgeErrors
 from annotator.detection.pretrained import write_seeded_network
 from annotator.detection.trained import TrainedModel

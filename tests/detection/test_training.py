@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from annotator.detection.config import TrainingConfig
-from annotator.detection.trained import TrainedModel, read_trained
+from annotator.detection.trained import RunRecord, TrainedModel, read_trained
 from annotator.detection.training import TrainingProgress, TrainingStoppedError, Watch, train_detector, trainer_settings
-from annotator.detection.ultralytics_api import api
+from annotator.detection.ultralytics_api import api, pick_device
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError, DetectionError, FormatError
 
@@ -32,7 +32,7 @@ def files_of_run(model: TrainedModel) -> list[str]:
 @pytest.mark.slow
 def test_a_finished_run_has_weights_metrics_and_curves(tiny_model: TrainedModel, tiny_dataset: Path) -> None:
     folder = tiny_model.weights.parent
-    assert files_of_run(tiny_model) == ["curves.csv", "detector.safetensors", "model.json", "run.json"]
+    assert files_of_run(tiny_model) == ["curves.csv", "detector.safetensors", "model.json"]
     assert read_trained(folder) == tiny_model
     assert tiny_model.classes == ("blue", "red")
     # the accuracy depends on the processor
@@ -172,16 +172,15 @@ def test_what_cannot_be_trained_is_refused_before_the_training(tiny_dataset: Pat
 def test_augmented_boxes_still_fit_their_object(tiny_dataset: Path, tmp_path: Path) -> None:
     """With all augmentations at once, each label must be the box around the coloured pixels of the augmented image."""
     from annotator.detection.dataset import read_manifest
-    from annotator.detection.trainer import TrainerHooks, make_trainer
-    from annotator.detection.ultralytics_api import pick_device
+    from annotator.detection.trainer import make_trainer
 
     config = TrainingConfig(image_size_px=96, recipe={"scale": 0.3})
-    hooks = TrainerHooks(
-        tiny_dataset, read_manifest(tiny_dataset), pick_device("cpu"), 1, lambda _: None, lambda _: None
-    )
+    begun = RunRecord(fingerprint="", pretrained=False, note="", seconds=0.0)
+    manifest, device = read_manifest(tiny_dataset), pick_device("cpu")
+    watch = Watch(tiny_dataset, manifest, config, DetectorKind.VIEW, tmp_path / "run", device, begun)
     settings = trainer_settings(config, DetectorKind.VIEW, 1, "cpu", tmp_path / "run")
     settings |= {"model": "yolo11n.yaml", "data": str(tiny_dataset / "data.yaml")}
-    trainer = make_trainer(settings, hooks)
+    trainer = make_trainer(settings, watch)
     trainer.setup_model()
     dataset = trainer.build_dataset(trainer.data["train"], "train", 6)
     for index in [i % len(dataset) for i in range(60)]:

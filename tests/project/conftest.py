@@ -52,7 +52,7 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 (run / part / "0.jpg").write_bytes(b"jpg")
             weights = run / "detector.safetensors"
             weights.write_bytes(name.encode())
-            (run / "run.json").write_text("{}")
+            (run / "model.json").write_text("{}")
             project.models.register(
                 DetectorKind.IMAGE, weights, labels=["hand"], box_kind=BoxKind.BOX, metrics={}, fingerprint=name
             )

@@ -14,7 +14,6 @@ from annotator.web.jobs import work
 from annotator.web.jobs.records import BoxesRequest, JobContext, Outcome, ProposeRequest, TrainRequest
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.runner import InlineEngine
-from annotator.workflows.proposing.tasks import GivenDetectors
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
@@ -33,7 +32,7 @@ def train(job: JobContext, request: TrainRequest) -> Outcome:
 def propose(job: JobContext, request: ProposeRequest) -> Outcome:
     """`propose_work` with perfect detectors."""
     knows = _perfect(job)
-    source = GivenDetectors(Detectors(knows, knows, BoxKind.BOX))
+    source = Detectors(knows, knows, BoxKind.BOX)
     # a worker process runs only one job, so patches need not be undone
     work.trained_detectors = lambda _: source  # type: ignore[assignment]
     work.make_engine = lambda *_, **__: InlineEngine(source)  # type: ignore[assignment]

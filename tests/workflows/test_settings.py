@@ -20,7 +20,6 @@ from annotator.types import BoxKind, DetectorKind, OrientedBox, ReviewState
 from annotator.types.errors import AnnotatorError, ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.proposing.tasks import GivenDetectors
 from annotator.workflows.settings import editable, rcv_config, reviewed_sizes
 from annotator.workflows.training import train
 
@@ -125,7 +124,7 @@ def test_simulate_views_train_and_annotate_use_the_projects_settings(
     keep(people, view_px=64, max_steps=1)
     taught: list[RcvConfig] = []
     monkeypatch.setattr(train, "view_samples", lambda _, __, rcv, *rest: taught.append(rcv) or iter(()))
-    monkeypatch.setattr("annotator.cli.annotate.trained_detectors", lambda *_: GivenDetectors(knowing("people")))
+    monkeypatch.setattr("annotator.cli.annotate.trained_detectors", lambda *_: knowing("people"))
     (recording,) = people.recordings.all()
     assert run(people, "simulate", recording.name, "--every", "5") == 0
     assert {max(people.views.load(v.view_id).shape[:2]) for v in people.boxes.on_views()} == {64}

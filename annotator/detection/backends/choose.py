@@ -10,11 +10,16 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from annotator.detection.backends.export import Export, export, export_key, find_export, keep_export, one_at_a_time
-from annotator.detection.backends.network import Network
+from annotator.detection.backends.openvino_network import OpenVinoNetwork
+from annotator.detection.backends.torch_network import TorchNetwork
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.types.errors import AnnotatorError, ConfigError, DetectionError
 
 LOG = logging.getLogger("annotator.detectors")
+
+Network = OpenVinoNetwork | TorchNetwork
+"""A trained network, ready to run; thread-safe. `predict` takes one batch per canvas size, all in one call, so that
+idle cores can start on the next size; it raises a DetectionError if the backend fails, as for want of memory."""
 
 
 def open_network(weights: Path, weights_sha256: str, config: DetectorConfig) -> Network:
@@ -37,9 +42,8 @@ def open_network(weights: Path, weights_sha256: str, config: DetectorConfig) -> 
 
 
 def _open(weights: Path, weights_sha256: str, config: DetectorConfig, backend: Backend) -> Network:
-    # Imported here, so that only the packages of the backend in use are loaded.
     if backend in ("openvino", "openvino-bf16"):
-        from annotator.detection.backends.openvino_network import OpenVinoNetwork, computes_bfloat16
+        from annotator.detection.backends.openvino_network import computes_bfloat16
 
         if backend == "openvino-bf16" and not computes_bfloat16():
             if config.backend == backend:
@@ -47,7 +51,6 @@ def _open(weights: Path, weights_sha256: str, config: DetectorConfig, backend: B
             backend = "openvino"
         exported = _exported(weights, weights_sha256)
         return OpenVinoNetwork(exported.facts, exported.parts, config.threads, bfloat16=backend == "openvino-bf16")
-    from annotator.detection.backends.torch_network import TorchNetwork
     from annotator.detection.ultralytics_api import pick_device
 
     return TorchNetwork(weights, pick_device(config.device), config.threads)
@@ -87,26 +90,18 @@ def chosen(config: DetectorConfig) -> tuple[Backend, str]:
 
     Loads the packages of each candidate until one loads without an error.
     """
+    from annotator.detection.backends.openvino_network import computes_bfloat16, openvino
+    from annotator.detection.ultralytics_api import api
+
     reasons = ["there is a CUDA device" if has_cuda() else "no CUDA device that detectors can use"]
     for backend in _choices(config):
         try:
-            return _loaded(backend), "; ".join(reasons)
+            (api if backend == "torch" else openvino)()
+            usable = "openvino" if backend == "openvino-bf16" and not computes_bfloat16() else backend
+            return usable, "; ".join(reasons)
         except AnnotatorError as error:
             reasons.append(f"{backend} cannot be used: {error}")
     raise DetectionError("; ".join(reasons))
-
-
-def _loaded(backend: Backend) -> Backend:
-    """Loads the packages of a backend; returns openvino for openvino-bf16 on a processor without bfloat16."""
-    if backend == "torch":
-        from annotator.detection.ultralytics_api import api
-
-        api()
-        return backend
-    from annotator.detection.backends.openvino_network import computes_bfloat16, openvino
-
-    openvino()
-    return backend if backend == "openvino" or computes_bfloat16() else "openvino"
 
 
 @lru_cache(maxsize=1)

@@ -54,10 +54,6 @@ def marked(network: bytes, head: int) -> bytes:
 
     If no layer has the expected name (a later version may name them differently), the XML is returned unchanged and a
     warning is logged. The marks have no effect in single precision.
-
-    Args:
-        network: content of the XML file.
-        head: index of the detection head in the module.
     """
     root = ElementTree.fromstring(network)
     in_head = re.compile(rf"__module\.model\.model\.{head}\.(?!{HALF_IN_HEAD})")

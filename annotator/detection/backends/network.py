@@ -1,4 +1,4 @@
-"""The interface that every backend implements, and how images are distributed over the cores of the CPU.
+"""What all backends share: their input and output, and how images are distributed over the cores of the CPU.
 
 Each image is computed alone, or in a batch if that gives exactly the same bits. So the output for an image does not
 depend on the other images, and a runtime needs few input shapes per canvas size.
@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float32, UInt8
 from pydantic import Field
 
-from annotator.detection.config import Backend
 from annotator.types.bases import Strict
 
 # Input (n, height, width, RGB) and raw prediction (n, 4 + classes + spreads, anchors) with 4 spreads or none; sizes may
@@ -36,34 +34,6 @@ class NetworkFacts(Strict):
     stride: int = Field(ge=1)
     end2end: bool
     edge_spread: bool
-
-
-@runtime_checkable
-class Network(Protocol):
-    """A trained network, ready to run; thread-safe."""
-
-    @property
-    def backend(self) -> Backend:
-        """Name of the backend."""
-
-    @property
-    def facts(self) -> NetworkFacts:
-        """Its classes, stride and kind of output."""
-
-    @property
-    def device(self) -> str:
-        """Device in torch's notation: "cpu", "cuda", "cuda:1", "mps"."""
-
-    def predict(self, batches: Sequence[Batch]) -> list[Answer]:
-        """One raw prediction per batch, in the layout that `selection.candidates` reads.
-
-        Args:
-            batches: one per canvas size, (n, height, width, RGB). All in one call, so that idle cores can start
-                on the next size.
-
-        Raises:
-            DetectionError: the backend fails, for example because it is out of memory.
-        """
 
 
 Image = UInt8[np.ndarray, "1 _ _ 3"]

@@ -9,10 +9,9 @@ from __future__ import annotations
 import logging
 import sys
 import threading
-from collections import OrderedDict, deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -88,15 +87,6 @@ MAX_STREAMS = 8
 IN_FLIGHT = 2
 
 
-@dataclass(frozen=True, eq=False)
-class _Request:
-    """An inference request with numpy views of its buffers; kept, because creating it takes longer than filling it."""
-
-    request: Any
-    pixels: np.ndarray
-    answer: np.ndarray
-
-
 class OpenVinoNetwork:
     """A network that OpenVINO runs on the CPU.
 
@@ -109,11 +99,6 @@ class OpenVinoNetwork:
     def __init__(
         self, facts: NetworkFacts, parts: Mapping[str, bytes], threads: int | None, *, bfloat16: bool = False
     ) -> None:
-        """
-        Args:
-            threads: CPU threads; None: all cores that the process may use.
-            bfloat16: compute in bfloat16, except the layers that `half_precision` keeps in single precision.
-        """
         self.backend: Backend = "openvino-bf16" if bfloat16 else "openvino"
         self.facts = facts
         self._threads = threads or usable_cores()
@@ -124,11 +109,11 @@ class OpenVinoNetwork:
             raise DetectionError(f"OpenVINO cannot read the exported detector ({_reason(error)})") from error
         # One call at a time: a single call uses all cores.
         self._lock = threading.Lock()
-        self._compiled: OrderedDict[tuple[tuple[int, ...], int], list[_Request]] = OrderedDict()
+        self._compiled: OrderedDict[tuple[tuple[int, ...], int], Any] = OrderedDict()
         self._joins: dict[tuple[tuple[int, ...], int], bool] = {}
 
     def predict(self, batches: Sequence[Batch]) -> list[Answer]:
-        """As `Network.predict`; new canvas sizes are compiled first."""
+        """One raw prediction per batch, as `yolo.candidates` reads it; new canvas sizes are compiled first."""
         count = sum(len(batch) for batch in batches)
         streams = min(self._threads, MAX_STREAMS) if side_by_side(count, self._threads) else 1
         try:
@@ -159,74 +144,59 @@ class OpenVinoNetwork:
             return False
         if (size, streams) not in self._joins:
             noise = np.random.default_rng(0).integers(0, 256, (max(TOGETHER), *size), np.uint8)
-            self._requests({(n, *size) for n in (*TOGETHER, 1)}, streams)  # compiles the shapes in parallel
-            alone = np.concatenate(list(self._run(single([noise]), streams)))
+            self._queues({(n, *size) for n in (*TOGETHER, 1)}, streams)  # compiles the shapes in parallel
+            alone = np.concatenate(self._run(single([noise]), streams))
             answers = [answer for n in TOGETHER for answer in self._run([noise[:n]], streams)]
             self._joins[size, streams] = all(np.array_equal(answer, alone[: len(answer)]) for answer in answers)
             if not self._joins[size, streams]:
                 LOG.info("images of size %s are computed one by one: in a batch their output differs", size)
         return self._joins[size, streams]
 
-    def _run(self, parts: Sequence[Batch], streams: int) -> Iterator[Answer]:
+    def _run(self, parts: Sequence[Batch], streams: int) -> list[Answer]:
         """One answer per part, in order; enough requests are in flight to keep all streams busy."""
-        free = self._requests({part.shape for part in parts}, streams)
-        in_flight: deque[tuple[tuple[int, ...], _Request]] = deque()
+        queues, answers = self._queues({part.shape for part in parts}, streams), dict[int, Answer]()
 
-        def oldest() -> Answer:
-            shape, request = in_flight.popleft()
-            request.request.wait()
-            free[shape].append(request)
-            return request.answer.copy()
+        def keep(request: Any, number: int) -> None:
+            answers[number] = request.get_output_tensor().data.copy()
 
-        try:
-            for part in parts:
-                if len(in_flight) == IN_FLIGHT * streams:
-                    yield oldest()
-                request = free[part.shape].pop()
-                request.pixels[...] = part
-                request.request.start_async()
-                in_flight.append((part.shape, request))
-            while in_flight:
-                yield oldest()
-        finally:
-            for _, request in in_flight:  # after a failure
-                request.request.wait()
+        for queue in queues.values():
+            queue.set_callback(keep)
+        for number, part in enumerate(parts):
+            queues[part.shape].start_async({0: part}, number)
+        for queue in queues.values():
+            queue.wait_all()
+        return [answers[number] for number in range(len(parts))]
 
-    def _requests(self, shapes: set[tuple[int, ...]], streams: int) -> dict[tuple[int, ...], list[_Request]]:
-        """The requests of each shape; new shapes are compiled in parallel."""
+    def _queues(self, shapes: set[tuple[int, ...]], streams: int) -> dict[tuple[int, ...], Any]:
+        """OpenVINO's queues of requests, one per shape; new shapes are compiled in parallel."""
         new = [shape for shape in sorted(shapes) if (shape, streams) not in self._compiled]
         if new:
             with ThreadPoolExecutor(min(self._threads, len(new))) as pool:
                 compiled = pool.map(lambda shape: self._compile(shape, streams), new)
-                self._compiled.update({(shape, streams): reqs for shape, reqs in zip(new, compiled, strict=True)})
+                self._compiled.update({(shape, streams): queue for shape, queue in zip(new, compiled, strict=True)})
         for shape in shapes:
             self._compiled.move_to_end((shape, streams))
-        requests = {shape: list(self._compiled[shape, streams]) for shape in shapes}
+        queues = {shape: self._compiled[shape, streams] for shape in shapes}
         while len(self._compiled) > MAX_COMPILED:
             self._compiled.popitem(last=False)
-        return requests
+        return queues
 
-    def _compile(self, shape: tuple[int, ...], streams: int) -> list[_Request]:
+    def _compile(self, shape: tuple[int, ...], streams: int) -> Any:
         model = self._model.clone()
         model.reshape(list(shape))
-        compiled = self._core.compile_model(
-            model,
-            "CPU",
-            {
-                "NUM_STREAMS": streams,
-                "INFERENCE_NUM_THREADS": self._threads,
-                # Threads of several compiled sizes and processes would be pinned to the same core.
-                "ENABLE_CPU_PINNING": False,
-                # By default, OpenVINO computes in half precision if the CPU supports it.
-                "INFERENCE_PRECISION_HINT": "bf16" if self.backend == "openvino-bf16" else "f32",
-            },
-        )
-        requests = [compiled.create_infer_request() for _ in range(IN_FLIGHT * streams)]
-        return [_Request(r, r.get_input_tensor().data, r.get_output_tensor().data) for r in requests]
+        settings = {
+            "NUM_STREAMS": streams,
+            "INFERENCE_NUM_THREADS": self._threads,
+            # Threads of several compiled sizes and processes would be pinned to the same core.
+            "ENABLE_CPU_PINNING": False,
+            # By default, OpenVINO computes in half precision if the CPU supports it.
+            "INFERENCE_PRECISION_HINT": "bf16" if self.backend == "openvino-bf16" else "f32",
+        }
+        compiled = self._core.compile_model(model, "CPU", settings)
+        return openvino().AsyncInferQueue(compiled, IN_FLIGHT * streams)
 
 
 def _cut(batch: Batch, lengths: Sequence[int]) -> list[Batch]:
-    """Cuts a batch into consecutive parts of these lengths."""
     ends = np.cumsum(lengths)
     return [batch[end - length : end] for end, length in zip(ends, lengths, strict=True)]
 

@@ -108,11 +108,6 @@ class TorchNetwork:
     backend: Backend = "torch"
 
     def __init__(self, weights: Path, device: Any, threads: int | None = None) -> None:
-        """
-        Args:
-            device: a torch device, as returned by `pick_device`.
-            threads: CPU threads; None: torch's default.
-        """
         module, self.facts = raw_network(weights, device)
         self._device = device
         self.device = str(device)
@@ -122,7 +117,7 @@ class TorchNetwork:
         self._lock = threading.Lock()
 
     def predict(self, batches: Sequence[Batch]) -> list[Answer]:
-        """As `Network.predict`, with at most `MAX_BATCH_PX` per forward pass."""
+        """One raw prediction per batch, as `yolo.candidates` reads it, with at most `MAX_BATCH_PX` per forward pass."""
         answers = []
         with self._lock, _threads(self._threads):
             for batch in batches:

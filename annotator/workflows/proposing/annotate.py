@@ -26,7 +26,7 @@ from annotator.types import BoxKind, Source
 from annotator.types.errors import ConfigError, FinalisedFrameError, HistoryError, ProjectError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.runner import Engine, InlineEngine, failure
-from annotator.workflows.proposing.tasks import FrameAnswer, FrameSpec, GivenDetectors, Task, pickle_exactly
+from annotator.workflows.proposing.tasks import FrameAnswer, FrameSpec, Task, pickle_exactly
 from annotator.workflows.recorded.adjusting import learn_up
 from annotator.workflows.tracks.propose_boxes import followed_tracks, seeds_of
 
@@ -57,7 +57,6 @@ class AnnotateSummary:
 
     @property
     def failures(self) -> int:
-        """Number of failed frames."""
         return len(self.failed)
 
 
@@ -86,7 +85,6 @@ class Batch:
         return self.recordings[recording_id]
 
     def store(self, frame: StoredFrame, answer: FrameAnswer) -> None:
-        """Stores the result or the failure of a frame."""
         if answer.result is None:
             self._fail(frame, answer)
             return
@@ -160,7 +158,7 @@ def annotate(
     progress: Progress | None = None,
 ) -> AnnotateSummary:
     """Runs `annotate_with` in this process."""
-    engine = InlineEngine(GivenDetectors(detectors))
+    engine = InlineEngine(detectors)
     return annotate_with(project, engine, config, recordings=recordings, limit=limit, progress=progress)
 
 
@@ -221,7 +219,6 @@ def annotate_with(
 
 
 def require_limit(limit: int | None) -> None:
-    """Checks a limit."""
     if limit is not None and limit < 1:
         raise ConfigError(f"a limit of {limit} frames is too small; give 1 or more")
 

@@ -106,10 +106,6 @@ class LocalWorker:
         start: tuple[DetectorSource, int | None, Storage],
         gpu: str | None = None,
     ) -> None:
-        """
-        Args:
-            gpu: its GPU, as named in `CUDA_VISIBLE_DEVICES`; None = all.
-        """
         self.number, self._report = number, report
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-c", PROGRAM],
@@ -128,7 +124,6 @@ class LocalWorker:
         self._write(task)
 
     def end(self) -> None:
-        """Kills the worker."""
         with suppress(ProcessLookupError):
             self._process.kill()
         self._process.wait()
@@ -156,7 +151,6 @@ class LocalWorker:
 
 
 def exit_reason(code: int) -> str:
-    """Describes the exit code of a process."""
     if code == -signal.SIGKILL:
         return "killed, possibly out of memory"
     return f"by signal {-code}" if code < 0 else f"with exit code {code}"
@@ -170,12 +164,7 @@ def environment(threads: int | None) -> dict[str, str]:
 def local_engine(
     source: DetectorSource, workers: int, threads: int | None, storage: Storage, gpus: tuple[str, ...] = ()
 ) -> WorkerPool:
-    """Makes an engine of worker processes on this machine.
-
-    Args:
-        threads: processor threads of each worker; None = all cores.
-        gpus: names of the machine's GPUs, assigned to the workers in turn.
-    """
+    """Makes an engine of worker processes on this machine."""
     start = source, threads, storage
     return WorkerPool(
         lambda number, report: LocalWorker(number, report, start, gpus[number % len(gpus)] if gpus else None), workers

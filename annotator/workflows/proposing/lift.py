@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -46,15 +45,13 @@ def propose_image_boxes(
         config: with the settings of the detector; the orientation is set here.
         rotation: the rotations that boxes may have; AUTO depends on the frame's up direction.
     """
-    groups: dict[Orientation, list[int]] = defaultdict(list)
-    for index, frame in enumerate(frames):
-        groups[orientation_for(rotation, frame)].append(index)
     results: dict[int, FrameProposals] = {}
-    for orientation, indices in groups.items():
-        settings = config.model_copy(update={"orientation": orientation})
-        chosen, boxes = [frames[i] for i in indices], [image_boxes[i] for i in indices]
-        done = propose_from_boxes(chosen, boxes, view_detector, settings)
-        results.update(zip(indices, done, strict=True))
+    for orientation in Orientation:
+        indices = [i for i, frame in enumerate(frames) if orientation_for(rotation, frame) is orientation]
+        if indices:
+            settings = config.model_copy(update={"orientation": orientation})
+            chosen, boxes = [frames[i] for i in indices], [image_boxes[i] for i in indices]
+            results |= zip(indices, propose_from_boxes(chosen, boxes, view_detector, settings), strict=True)
     return [results[index] for index in range(len(frames))]
 
 
@@ -80,11 +77,7 @@ class GivenBoxes:
 
 
 def drawn_boxes(project: Project, only_without_labels: bool = False) -> GivenBoxes:
-    """Returns the boxes that were drawn or imported on the project's images.
-
-    Args:
-        only_without_labels: only those on frames that have no 3D box yet.
-    """
+    """Returns the boxes that were drawn or imported on the project's images."""
     drawn = [on_image for on_image in project.boxes.on_images() if on_image.boxes]
     boxes = {on_image.frame_id: on_image.boxes for on_image in drawn}
     silhouettes = {on_image.frame_id for on_image in drawn if on_image.box_kind is BoxKind.SILHOUETTE}
@@ -152,7 +145,6 @@ class RenamedDetector:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The project's classes that it detects."""
         return tuple(sorted(self._classes & set(self._names.values())))
 
     @property
@@ -161,7 +153,6 @@ class RenamedDetector:
         return hashlib.sha256(f"{self._detector.fingerprint} {sorted(self._names.items())}".encode()).hexdigest()
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        """As `Detector.detect`."""
         return [
             [replace(box, label=self._names[box.label]) for box in boxes if self._names[box.label] in self._classes]
             for boxes in self._detector.detect(images)

@@ -38,7 +38,6 @@ class Fault:
 
 
 def fault_of(error: Exception) -> Fault:
-    """Returns the message for an error before the first task."""
     if isinstance(error, AnnotatorError):
         return Fault(str(error), False)
     return Fault("".join(traceback.format_exception(error)), True)
@@ -127,10 +126,6 @@ class WorkerPool:
     """An engine with a fixed number of workers."""
 
     def __init__(self, make: MakeWorker, workers: int) -> None:
-        """
-        Args:
-            make: starts a worker, which begins to load its detectors.
-        """
         self._make, self._workers = make, workers
         self._events: queue.SimpleQueue[tuple[int, Message]] = queue.SimpleQueue()
         self._slots: dict[int, _Slot] = {}

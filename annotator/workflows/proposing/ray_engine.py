@@ -45,7 +45,6 @@ class RayActor:
         return self._fault or self._runner.identity
 
     def do(self, task: Task) -> Answer:
-        """As `TaskRunner.do`."""
         return self._runner.do(task)
 
 
@@ -63,7 +62,6 @@ class RayWorker:
         self._actor.do.remote(task).future().add_done_callback(self._told)
 
     def end(self) -> None:
-        """Kills the actor."""
         self._is_over = True
         import ray
 

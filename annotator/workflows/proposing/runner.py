@@ -1,4 +1,4 @@
-"""The interface of engines, how every engine runs a task, and the engine without worker processes."""
+"""How every engine runs a task, and the engine without worker processes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from collections import deque
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.propose import propose
@@ -17,6 +16,7 @@ from annotator.types import Frame
 from annotator.types.errors import AnnotatorError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import orientation_for
+from annotator.workflows.proposing.pool import WorkerPool
 from annotator.workflows.proposing.tasks import (
     MAX_OPEN,
     Answer,
@@ -28,37 +28,6 @@ from annotator.workflows.proposing.tasks import (
     Task,
     pickle_exactly,
 )
-
-
-@runtime_checkable
-class Engine(Protocol):
-    """Takes tasks, and returns their answers in any order. Used by one thread.
-
-    Must be closed after use, also after an exception; tasks without an answer are lost.
-
-    Attributes:
-        window: maximum number of tasks in flight; enough to keep all workers busy.
-    """
-
-    @property
-    def window(self) -> int: ...
-
-    def start(self) -> Identity:
-        """Starts the workers, unless they run already. Returns when the first is ready."""
-        ...
-
-    def submit(self, task: Task) -> None:
-        """Adds a task."""
-        ...
-
-    def wait(self, timeout_s: float) -> Answer | None:
-        """Waits for the next answer; returns None after `timeout_s` seconds."""
-        ...
-
-    def close(self) -> None:
-        """Ends all workers at once. Can be called again."""
-        ...
-
 
 _Read = tuple[int, FrameSpec, Frame, float]
 """A frame in memory, with its index in the task, its description, and the time to read it."""
@@ -79,7 +48,6 @@ class TaskRunner:
 
     @property
     def identity(self) -> Identity:
-        """The detectors' identity."""
         pair = self.detectors
         return Identity(pair.image.fingerprint, pair.view.fingerprint, pair.backends, pair.kinds)
 
@@ -138,18 +106,12 @@ def failure(error: Exception, seconds: float) -> FrameAnswer:
 class InlineEngine:
     """Runs tasks in this process, one at a time."""
 
+    window = 1
+
     def __init__(self, source: DetectorSource, threads: int | None = None, storage: Storage | None = None) -> None:
-        """
-        Args:
-            threads: processor threads of each detector; None = all cores.
-        """
         self._source, self._threads, self._storage = source, threads, storage or Storage()
         self._runner: TaskRunner | None = None
         self._tasks: deque[Task] = deque()
-
-    @property
-    def window(self) -> int:
-        return 1
 
     def start(self) -> Identity:
         """Loads the detectors."""
@@ -172,3 +134,9 @@ class InlineEngine:
         if self._runner is None:
             self._runner = TaskRunner(self._source.load(self._threads), self._storage)
         return self._runner
+
+
+Engine = InlineEngine | WorkerPool
+"""Takes tasks, and returns their answers in any order; used by one thread. It is closed after use, also after an
+exception; tasks without an answer are then lost. Its `window` is the maximum number of tasks in flight, enough to keep
+all workers busy."""

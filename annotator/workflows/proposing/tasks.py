@@ -8,13 +8,13 @@ Workers read recordings at the project's path, or at another path or URL: the dr
 from __future__ import annotations
 
 import copyreg
-import hashlib
 import os
 import stat
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -22,7 +22,7 @@ from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
 from annotator.detection.trained import MODEL_NAME
-from annotator.files import NETWORK_BYTES, read_file, write_atomic
+from annotator.files import NETWORK_BYTES, read_file
 from annotator.project import StoredRecording
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import RcvConfig
@@ -170,7 +170,7 @@ def parse_elsewhere(words: Sequence[str]) -> tuple[tuple[Path, str], ...]:
 def scratch_folder() -> Path:
     """Creates and returns the user's own temporary folder, which only the user can write to.
 
-    It holds unpacked weights and cached recordings.
+    It holds cached recordings.
     """
     user = os.getuid() if hasattr(os, "getuid") else 0
     folder = Path(tempfile.gettempdir()) / f"annotator-{user}"
@@ -195,62 +195,38 @@ class DetectorSource(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class GivenDetectors:
-    """Loaded detectors; pickling copies them."""
-
-    detectors: Detectors
-
-    def load(self, threads: int | None) -> Detectors:
-        """Returns the detectors."""
-        return self.detectors
-
-
-def packed(weights: Path) -> dict[str, bytes]:
-    """The contents of the weights of a training and of the file beside them, by name."""
-    try:
-        return {name: read_file(weights.parent / name, NETWORK_BYTES) for name in (weights.name, MODEL_NAME)}
-    except OSError as error:
-        raise DetectionError(
-            f"{error.filename}: cannot be read ({error.strerror}); train the detector again"
-        ) from error
-
-
-def unpacked(files: dict[str, bytes], folder: Path) -> Path:
-    """Writes packed files into a folder below `folder` named by their hash, and returns that folder.
-
-    Files that exist are kept. Missing files are written again: systems delete old temporary files. Several processes
-    may call this at the same time.
-    """
-    digest = hashlib.sha256(b"".join(hashlib.sha256(content).digest() for content in files.values()))
-    target = folder / digest.hexdigest()[:24]
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-        for name, content in files.items():
-            if not (target / name).is_file():
-                write_atomic(target / name, content)
-    except OSError as error:
-        raise DetectionError(
-            f"{target}: cannot be written ({error.strerror}); free some space, or set TMPDIR to another folder"
-        ) from error
-    return target
-
-
-@dataclass(frozen=True, eq=False)
 class PackedDetectors:
-    """Trained detectors with the files of the image and of the view detector, for machines without the project."""
+    """Trained detectors with the files of each, for machines without the project.
+
+    Attributes:
+        files: contents of the weights and of the file beside them, by name, of the image and the view detector.
+    """
 
     trained: TrainedDetectors
-    files: tuple[dict[str, bytes], dict[str, bytes]]
+    files: tuple[dict[str, bytes], ...]
 
     @classmethod
     def of(cls, trained: TrainedDetectors) -> PackedDetectors:
-        """Reads the weights."""
-        return cls(trained, (packed(trained.image.path), packed(trained.view.path)))
+        paths = (trained.image.path, trained.view.path)
+        try:
+            names = [(path.parent, name) for path in paths for name in (path.name, MODEL_NAME)]
+            read = [(name, read_file(folder / name, NETWORK_BYTES)) for folder, name in names]
+        except OSError as error:
+            raise DetectionError(
+                f"{error.filename}: cannot be read ({error.strerror}); train the detector again"
+            ) from error
+        return cls(trained, (dict(read[:2]), dict(read[2:])))
 
     def load(self, threads: int | None) -> Detectors:
-        """Writes the files into the machine's temporary folder, where they stay, and loads the detectors."""
-        image, view = (
-            replace(model, path=unpacked(files, scratch_folder() / "detectors") / model.path.name)
-            for model, files in zip((self.trained.image, self.trained.view), self.files, strict=True)
-        )
-        return replace(self.trained, image=image, view=view).load(threads)
+        """Loads the detectors from a temporary folder."""
+        with TemporaryDirectory() as temporary:
+            models = []
+            for number, (model, files) in enumerate(
+                zip((self.trained.image, self.trained.view), self.files, strict=True)
+            ):
+                folder = Path(temporary) / str(number)
+                folder.mkdir()
+                for name, content in files.items():
+                    (folder / name).write_bytes(content)
+                models.append(replace(model, path=folder / model.path.name))
+            return replace(self.trained, image=models[0], view=models[1]).load(threads)

@@ -67,7 +67,6 @@ class Decision(Strict):
     reviewed: int | None = None
 
     def write(self, folder: Path) -> None:
-        """Writes `held_out.json`."""
         write_atomic(folder / DECISION_NAME, self.model_dump_json(indent=1).encode())
 
 
@@ -120,12 +119,10 @@ class HeldOut:
 
     @property
     def objects(self) -> int:
-        """Number of objects."""
         return sum(len(truths) for _, _, truths in self._frames)
 
     @property
     def frames(self) -> int:
-        """Number of frames with objects."""
         return len(self._frames)
 
     @property
@@ -160,11 +157,7 @@ def held_out_groups(project: Project) -> frozenset[str]:
 def lifted(
     frame: Frame, image_boxes: Sequence[Box2D], detector: Detector, config: RcvConfig, rotation: BoxRotation
 ) -> list[OrientedBox | None]:
-    """The best 3D box that a view detector finds from each 2D box, or None.
-
-    Args:
-        config: with the settings of the detector.
-    """
+    """The best 3D box that a view detector finds from each 2D box, or None."""
     (result,) = propose_image_boxes([frame], [image_boxes], detector, config, rotation)
     best: dict[int, OrientedBox] = {}
     for proposal in result.proposals:  # best first

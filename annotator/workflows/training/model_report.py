@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from jaxtyping import UInt8
 
@@ -38,7 +39,9 @@ def write_validation_pictures(dataset: Path, manifest: DatasetManifest, detector
     temporary = Path(tempfile.mkdtemp(prefix=f".{FOLDER}.", dir=model))
     try:
         for number, (picture, boxes) in enumerate(zip(pictures, detections, strict=True)):
-            _write(temporary / f"{number}.jpg", _drawn(picture.rgb, boxes, manifest.classes))
+            path, bgr = temporary / f"{number}.jpg", _drawn(picture.rgb, boxes, manifest.classes)
+            if not cv2.imwrite(str(path), bgr, [cv2.IMWRITE_JPEG_QUALITY, 90]):
+                raise DetectionError(f"{path}: cannot be written; is the disk full?")
         shutil.rmtree(folder, ignore_errors=True)
         temporary.rename(folder)
     finally:
@@ -53,26 +56,16 @@ def validation_pictures(model: Path) -> list[Path]:
 
 
 def _chosen(manifest: DatasetManifest) -> list[str]:
-    """Chooses evenly spaced validation images with boxes."""
     labelled = [entry.image for entry in manifest.entries if entry.split == manifest.measured_on and entry.boxes]
     if len(labelled) <= PICTURES:
         return labelled
     return [labelled[round(index)] for index in np.linspace(0, len(labelled) - 1, PICTURES)]
 
 
-def _write(path: Path, bgr: UInt8[np.ndarray, "h w 3"]) -> None:
-    import cv2
-
-    if not cv2.imwrite(str(path), bgr, [cv2.IMWRITE_JPEG_QUALITY, 90]):
-        raise DetectionError(f"{path}: cannot be written; is the disk full?")
-
-
 def _drawn(
     rgb: UInt8[np.ndarray, "h w 3"], boxes: Sequence[Box2D], classes: Sequence[str]
 ) -> UInt8[np.ndarray, "h2 w2 3"]:
     """Returns the image, enlarged, with boxes and scores; BGR order."""
-    import cv2
-
     scale = max(LONG_SIDE_PX / max(rgb.shape[:2]), 1.0)
     height, width = (round(side * scale) for side in rgb.shape[:2])
     bgr = cv2.resize(np.ascontiguousarray(rgb[..., ::-1]), (width, height), interpolation=cv2.INTER_LINEAR)

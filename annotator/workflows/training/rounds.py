@@ -6,8 +6,7 @@ in use; if there is no base detector, the newest detector is used.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
 
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import read_manifest
@@ -33,55 +32,6 @@ ANEW_S = 600.0
 WARMUP: dict[str, float | str] = {"warmup_epochs": 0.5}
 # More epochs than any training has.
 NEVER = 1_000_000
-
-
-@dataclass(frozen=True, eq=False)
-class Start:
-    """What a training starts from.
-
-    Attributes:
-        model: None for the published or random weights of the configuration.
-        ious: mean IoU on the held-out objects of each known detector that has not learned them, whether a training
-            with these settings can start from it or not; empty with too few objects.
-        left_out: messages on detectors that could not be measured.
-    """
-
-    model: UsedModel | None
-    ious: Mapping[UsedModel, float] = field(default_factory=dict)
-    left_out: tuple[str, ...] = ()
-
-    @property
-    def compared(self) -> tuple[Rival, ...]:
-        """The measured detectors, for people."""
-        return tuple(Rival(name=model.described, mean_iou=iou) for model, iou in self.ious.items())
-
-    def view_px(self, config: TrainingConfig) -> int:
-        """Longer side of the views to train on: that of the detector at the start, or the configured one."""
-        return config.image_size_px if self.model is None else read_trained(self.model.path.parent).image_size_px
-
-
-def choose_start(project: Project, held_out: HeldOut, config: TrainingConfig) -> Start:
-    """The best known detector: the project's active one, its newest one, or the base detector.
-
-    Too few held-out objects leave it to the order: active detector, base detector, newest detector. Weights or a
-    network that the configuration names come first. A detector that has learned held-out frames is no candidate, since
-    what starts from it would know them, too.
-    """
-    known = [model for model in _candidates(project) if not _has_learned(project, model)]
-    ious: dict[UsedModel, float] = {}
-    left_out = []
-    for model in known if held_out.decides else ():
-        try:
-            ious[model] = held_out.mean_iou(model)
-        except TrainingStoppedError:
-            raise
-        except (DetectionError, FormatError) as error:
-            left_out.append(f"the {model.described}, which cannot be measured: {error}")
-    able = ious if held_out.decides else known
-    fitting = [model for model in able if config.pretrained == "auto" and _fits(model, config, any_size=True)]
-    # without measurements, the first one
-    best = max(fitting, key=lambda model: ious.get(model, 0.0), default=None)
-    return Start(best, ious, tuple(left_out))
 
 
 def image_config(project: Project, config: TrainingConfig, dataset_sha256: str) -> TrainingConfig:
@@ -115,17 +65,6 @@ def part_seconds(minutes: float) -> Iterator[float]:
         left, part = left - length, 2 * part
 
 
-def part_anew(lengths: Sequence[float], start: Start, held_out: HeldOut, config: TrainingConfig) -> int | None:
-    """The part that starts from published or random weights, with the project's classes; None if there is none.
-
-    Such a detector is better than one that continues the base detector for some projects, and much worse for others
-    (docs/detector_training.md). So it is tried only where held-out objects decide.
-    """
-    if start.model is None or not held_out.decides or config.pretrained != "auto":
-        return None
-    return next((part for part, length in enumerate(lengths) if length >= ANEW_S), None)
-
-
 def starting_config(config: TrainingConfig, start: UsedModel, seconds: float | None, seed: int) -> TrainingConfig:
     """The settings of a part that continues a detector.
 
@@ -145,25 +84,54 @@ def starting_config(config: TrainingConfig, start: UsedModel, seconds: float | N
 
 
 class Choice:
-    """Decides after each part of a training which detector the project uses.
+    """Decides what a training starts from, and after each part which detector the project uses.
+
+    It starts from the best known detector: the project's active one, its newest one, or the base detector. Too few
+    held-out objects leave it to the order: active detector, base detector, newest detector. Weights or a network that
+    the configuration names come first. A detector that has learned held-out frames is no candidate, since what starts
+    from it would know them, too.
 
     Attributes:
-        origin: what the next part starts from: the best detector of this training; None before the first one of a
-            training from published or random weights.
+        origin: what the next part starts from: the best detector of this training; None = published or random weights.
+        ious: mean IoU on the held-out objects of each measured detector, whether a training with these settings can
+            start from it or not; empty with too few objects.
+        compared: those that were measured at the start, for people.
+        left_out: messages on detectors that could not be measured.
+        view_px: longer side of the views to train on: that of the detector at the start, or the configured one.
     """
 
-    def __init__(self, project: Project, held_out: HeldOut, start: Start) -> None:
-        self.project, self.held_out, self.start = project, held_out, start
-        ious = start.ious
-        self.origin = start.model
-        # None with too few objects
-        self._origin_iou = None if start.model is None else ious.get(start.model)
-        # the best detector of all that were measured
-        self._best: UsedModel | None = max(ious, key=ious.__getitem__, default=None)
-        self._best_iou = max(ious.values(), default=-1.0)
+    def __init__(self, project: Project, held_out: HeldOut, config: TrainingConfig) -> None:
+        self.project, self.held_out = project, held_out
+        known = [model for model in _candidates(project) if not _has_learned(project, model)]
+        self.ious: dict[UsedModel, float] = {}
+        self.left_out: list[str] = []
+        for model in known if held_out.decides else ():
+            try:
+                self.ious[model] = held_out.mean_iou(model)
+            except TrainingStoppedError:
+                raise
+            except (DetectionError, FormatError) as error:
+                self.left_out.append(f"the {model.described}, which cannot be measured: {error}")
+        able = self.ious if held_out.decides else known
+        fitting = [model for model in able if config.pretrained == "auto" and _fits(model, config, any_size=True)]
+        # without measurements, the first one
+        self.origin = max(fitting, key=lambda model: self.ious.get(model, 0.0), default=None)
+        self.compared = tuple(Rival(name=model.described, mean_iou=iou) for model, iou in self.ious.items())
+        trained = None if self.origin is None else read_trained(self.origin.path.parent)
+        self.view_px = config.image_size_px if trained is None else trained.image_size_px
         self._reviewed = project.labels.count(REVIEWED)
         # what the project used at the start, or since the last decision
         self._in_use = used_model(project, DetectorKind.VIEW)
+
+    def part_anew(self, lengths: Sequence[float]) -> int | None:
+        """The part that starts from published or random weights, with the project's classes; None if there is none.
+
+        Such a detector is better than one that continues the base detector for some projects, and much worse for others
+        (docs/detector_training.md). So it is tried only where held-out objects decide.
+        """
+        if self.origin is None or not self.held_out.decides:
+            return None
+        return next((part for part, length in enumerate(lengths) if length >= ANEW_S), None)
 
     def add(self, model: StoredModel, note: str) -> Decision:
         """Measures a new detector, activates it or another one, and stores the reasons beside its weights.
@@ -172,42 +140,37 @@ class Choice:
         """
         new = own_model(self.project, model)
         iou = self.held_out.mean_iou(new) if self.held_out.decides else None
-        used, reason = self._decided(new, iou)
-        if self.origin is None or iou is None or self._origin_iou is None or iou > self._origin_iou:
-            self.origin, self._origin_iou = new, iou
-        if iou is not None and iou > self._best_iou:
-            self._best, self._best_iou = new, iou
+        best = max(self.ious, key=self.ious.__getitem__, default=None)
+        few = f"fewer than {MIN_OBJECTS} reviewed objects on held-out frames"
+        used: UsedModel | None = None  # what is in use stays
+        if used_model(self.project, DetectorKind.VIEW) != self._in_use:
+            outcome = "another detector was chosen during the training: it stayed in use"
+        elif iou is None and has_base():
+            outcome = f"{few}: what was in use stayed in use"
+        elif iou is None:
+            used, outcome = new, f"{few}: put into use as the newest"
+        elif best is None:
+            used, outcome = new, "put into use: there was no detector to compare it with on held-out frames"
+        elif iou > self.ious[best]:
+            used, outcome = new, "the best one on held-out frames: put into use"
+        else:
+            used, outcome = best, f"no better on held-out frames: the {best.described} stayed in use"
+        if iou is None or self.origin is None or iou > self.ious.get(self.origin, -1.0):
+            self.origin = new
+        if iou is not None:
+            self.ious[new] = iou
         self._use(used)
         decision = Decision(
             objects=self.held_out.objects,
             frames=self.held_out.frames,
             mean_iou=iou,
-            compared=self.start.compared,
+            compared=self.compared,
             started_from=note,
-            outcome=reason,
+            outcome=outcome,
             reviewed=self._reviewed,
         )
         decision.write(model.path.parent)
         return decision
-
-    def _decided(self, new: UsedModel, iou: float | None) -> tuple[UsedModel | None, str]:
-        """The detector to use, and why; None for the one that is in use.
-
-        Args:
-            iou: of the new detector; None with too few objects.
-        """
-        few = f"fewer than {MIN_OBJECTS} reviewed objects on held-out frames"
-        if used_model(self.project, DetectorKind.VIEW) != self._in_use:
-            return None, "another detector was chosen during the training: it stayed in use"
-        if iou is None and has_base():
-            return None, f"{few}: what was in use stayed in use"
-        if iou is None:
-            return new, f"{few}: put into use as the newest"
-        if self._best is None:
-            return new, "put into use: there was no detector to compare it with on held-out frames"
-        if iou > self._best_iou:
-            return new, "the best one on held-out frames: put into use"
-        return self._best, f"no better on held-out frames: the {self._best.described} stayed in use"
 
     def _use(self, used: UsedModel | None) -> None:
         if used is None:

@@ -18,7 +18,6 @@ from collections.abc import Callable, Container, Iterable, Iterator, Sequence, S
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import UInt8
 from pydantic import Field
 
 from annotator.detection.dataset import TrainingSample
@@ -27,14 +26,14 @@ from annotator.project import REVIEWED, ImageBoxes, Project, StoredFrame, Stored
 from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
 from annotator.rcv.known_objects import LABELLED_STEPS, cut_out
 from annotator.rcv.recursion import held_direction
-from annotator.rcv.teach import MIN_POINTS, TaughtObject, project_box, teach_views
+from annotator.rcv.teach import MIN_POINTS, TaughtObject, TaughtView, project_box, teach_views
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Image, Label, OrientedBox, ReviewState
 from annotator.types.bases import Strict
 from annotator.types.detector import Picture
 from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.training.base_detector import generated_views
-from annotator.workflows.views import front_and_side, outlines, redrawn, spans_m, undrawn, views_by_object
+from annotator.workflows.views import front_and_side, outlines, spans_m, undrawn, views_by_object
 
 DRAWN, TAUGHT, PROJECTED = "drawn", "taught", "projected"
 
@@ -43,8 +42,6 @@ Skip = Callable[[StoredFrame, FrameError], None]
 
 
 class SampleConfig(Strict):
-    """How many pseudo-views are generated for training."""
-
     views: int = Field(480, ge=1, description="approximate number of generated pseudo-views in all")
     seed: int = Field(0, ge=0, description="seed of the random axes and crops")
 
@@ -90,7 +87,6 @@ class Material:
 
     @property
     def image_kind(self) -> BoxKind:
-        """The box kind of most labelled camera images."""
         kinds = Counter(boxes.box_kind for boxes in self.images.values())
         return kinds.most_common(1)[0][0] if kinds else BoxKind.BOX
 
@@ -181,103 +177,51 @@ def view_samples(
     project: Project, material: Material, rcv: RcvConfig, config: SampleConfig, skip: Skip
 ) -> Iterator[TrainingSample]:
     """Yields drawn pseudo-views, then views along random axes of every object whose 3D extent is known."""
-    for view, sample in _drawn(project, material.views_of_kind, skip):
+    for view, sample in _drawn(project, material.views_of_kind):
         yield replace(sample, boxes=view.boxes, label_uids=_drawn_uids(view))
-    for known in known_objects(project, material, rcv, config, MOST_DRAWS, skip):
-        doubtful = [label.box for label in (*material.open.get(known.stored.id, ()), *known.untaught)]
-        for taught in teach_views(
-            known.frame, known.objects, material.kind, known.draws, known.rcv, known.up, known.rng, doubtful
-        ):
-            uids = tuple(known.labels[index].uid for index in taught.objects if index < len(known.labels))
-            drawn = taught.view
-            yield TrainingSample(drawn.rgb, taught.boxes, frame_group(known.stored), TAUGHT, uids, drawn.look_px)
+    for stored, labels, taught in taught_views(project, material, rcv, config, skip):
+        uids = tuple(labels[index].uid for index in taught.objects if index < len(labels))
+        drawn = taught.view
+        yield TrainingSample(drawn.rgb, taught.boxes, frame_group(stored), TAUGHT, uids, drawn.look_px)
 
 
-def _drawn(project: Project, views: Sequence[ViewBoxes], skip: Skip) -> Iterator[tuple[ViewBoxes, TrainingSample]]:
-    """Yields drawn pseudo-views, each with a sample of its picture that has no boxes yet."""
+def _drawn(project: Project, views: Sequence[ViewBoxes]) -> Iterator[tuple[ViewBoxes, TrainingSample]]:
+    """Yields drawn pseudo-views, each with a sample of the picture that it was drawn on, which has no boxes yet."""
     groups = {stored.id: frame_group(stored) for stored in project.frames.of()}
-    for view, rgb in drawn_pictures(project, views, skip):
+    for view in views:
         group = f"view/{view.view_id[:12]}" if view.frame_id is None else groups[view.frame_id]
         look_px = 0 if view.geometry is None else view.geometry.look_px
-        yield view, TrainingSample(rgb, (), group, DRAWN, (), look_px)
+        yield view, TrainingSample(project.views.load(view.view_id), (), group, DRAWN, (), look_px)
 
 
-def drawn_pictures(
-    project: Project, views: Sequence[ViewBoxes], skip: Skip
-) -> Iterator[tuple[ViewBoxes, UInt8[np.ndarray, "_ _ 3"]]]:
-    """Yields labelled pseudo-views with their pictures, which are new where a calibration was corrected.
-
-    Views that the correction leaves without points in their boxes are passed to `skip`.
-    """
-    corrected = project.adjustments.corrected()
-    moved = {stored.id for stored in project.frames.of(sorted(corrected))} if corrected else set()
-    again: dict[int, list[ViewBoxes]] = defaultdict(list)
-    for view in views:
-        if view.frame_id in moved and view.geometry is not None and view.geometry.image_box is not None:
-            again[view.frame_id].append(view)
-        else:
-            yield view, project.views.load(view.view_id)
-    for stored, frame in labelled_frames(project, sorted(again), skip):
-        objects = views_by_object(again[stored.id])
-        for view in again[stored.id]:
-            assert view.geometry is not None and view.geometry.image_box is not None
-            steps = objects.get((stored.id, view.geometry.image_box), {})
-            rgb = redrawn(frame, view, steps, lambda each: project.views.size(each.view_id))
-            if rgb is not None:
-                yield view, rgb
-            else:
-                path = project.views.path(view.view_id)
-                skip(stored, FrameError(path, "the corrected calibration leaves no points in its box", "draw it again"))
-
-
-@dataclass(frozen=True, eq=False)
-class KnownObjects:
-    """The objects of a frame whose 3D extent is known, and how views of them are drawn.
-
-    Attributes:
-        labels: reviewed labels, which are the first objects.
-        untaught: reviewed labels whose boxes are not of the kind that is taught.
-        up: the direction that views keep, if any.
-        rng: of the random axes and crops.
-    """
-
-    stored: StoredFrame
-    frame: Frame
-    labels: tuple[Label, ...]
-    untaught: tuple[Label, ...]
-    objects: list[TaughtObject]
-    draws: int
-    rcv: RcvConfig
-    up: np.ndarray | None
-    rng: np.random.Generator
-
-
-def known_objects(
+def taught_views(
     project: Project,
     material: Material,
     rcv: RcvConfig,
     config: SampleConfig,
-    most_draws: int,
     skip: Skip,
-    both_kinds: bool = False,
-) -> Iterator[KnownObjects]:
-    """Yields the objects whose 3D extent is known, frame by frame.
+    class_agnostic: bool = False,
+) -> Iterator[tuple[StoredFrame, tuple[Label, ...], TaughtView]]:
+    """Yields views of the objects whose 3D extent is known, with their frame and the labels that are its first objects.
 
     Args:
-        most_draws: maximum number of view pairs per object.
-        both_kinds: for class-agnostic detectors, which learn the whole and what is seen: `labels` are the objects whose
-            whole box is known. (Whole boxes also give silhouettes: those of the points in them. Boxes around what is
-            seen give no whole ones.)
+        class_agnostic: for such detectors, which learn the whole and what is seen: the labels are those whose whole box
+            is known. (Whole boxes also give silhouettes: those of the points in them. Boxes around what is seen give no
+            whole ones.)
     """
-    taught = material.labels_of(BoxKind.BOX) if both_kinds else material.labels_of(BoxKind.BOX, material.kind)
-    drags = drawn_objects(material.views) if both_kinds or material.kind is BoxKind.SILHOUETTE else {}
+    kind = None if class_agnostic else material.kind
+    taught = material.labels_of(BoxKind.BOX, kind or BoxKind.BOX)
+    drags = {} if kind is BoxKind.BOX else drawn_objects(material.views)
     total = sum(map(len, taught.values())) + sum(map(len, drags.values()))
     if total == 0:
         return
-    draws = int(np.clip(round(config.views / (2 * total)), 1, most_draws))
+    draws = int(np.clip(round(config.views / (2 * total)), 1, MOST_AGNOSTIC_DRAWS if class_agnostic else MOST_DRAWS))
     for stored, frame in labelled_frames(project, sorted({*material.labels, *drags}), skip):
         labels = taught.get(stored.id, ())
-        untaught = tuple(label for label in material.labels.get(stored.id, ()) if label not in labels)
+        doubtful: list[OrientedBox] = []
+        if not class_agnostic:  # unreviewed ones, and those of the other kind
+            others = (*material.open.get(stored.id, ()), *material.labels.get(stored.id, ()))
+            doubtful = [label.box for label in others if label not in labels]
         cuts = [cut for views in drags.get(stored.id, ()) if (cut := taught_by_drags(frame, views)) is not None]
         # with the points that their drawn silhouettes enclose, if there are any
         drawn = [next((cut.points for cut in cuts if is_labelled(frame, cut, [label])), None) for label in labels]
@@ -287,7 +231,8 @@ def known_objects(
         orientation = orientation_for(project.config.settings.rotation, frame)
         settings = rcv.model_copy(update={"orientation": orientation})
         up = held_direction(frame.up, settings)
-        yield KnownObjects(stored, frame, labels, untaught, objects, draws, settings, up, rng)
+        for view in teach_views(frame, objects, kind, draws, settings, up, rng, doubtful):
+            yield stored, labels, view
 
 
 def drawn_objects(views: Iterable[ViewBoxes]) -> dict[int, list[tuple[ViewBoxes, ...]]]:
@@ -335,7 +280,6 @@ def _drawn_uids(drawn: ImageBoxes | ViewBoxes) -> tuple[str, ...]:
 
 
 def frame_group(stored: StoredFrame) -> str:
-    """The group of a frame's training samples."""
     return f"{stored.recording_id}/{stored.key}"
 
 
@@ -374,29 +318,22 @@ def agnostic_samples(
         start: the class-agnostic detector that the training starts from.
     """
     # the drawn box of a view's own object, which is the first of a view that belongs to an object
-    for view, sample in _drawn(project, material.views, skip):
+    for view, sample in _drawn(project, material.views):
         if len(view.boxes) <= 1 or (view.geometry is not None and view.geometry.image_box is not None):
             yield replace(sample, boxes=_boxes_of(view, material, start, sample.rgb))
-    for known in known_objects(project, material, rcv, config, MOST_AGNOSTIC_DRAWS, skip, both_kinds=True):
-        labels, objects = known.labels, known.objects
-        for taught in teach_views(known.frame, objects, None, known.draws, known.rcv, known.up, known.rng):
-            index = taught.objects[0] if taught.objects else None
-            boxes, uids = taught.boxes, tuple[str, ...]()
-            if index is not None and index < len(labels):
-                uids = (labels[index].uid,) * len(boxes)
-            elif index is not None:  # the extent of a drawn silhouette says nothing about the whole
-                seen = [box for box in boxes if box.label == AGNOSTIC_LABELS[BoxKind.SILHOUETTE]]
-                boxes = _completed(start, Picture(taught.view.rgb), seen)
-            yield TrainingSample(taught.view.rgb, boxes, frame_group(known.stored), TAUGHT, uids, taught.view.look_px)
+    for stored, labels, taught in taught_views(project, material, rcv, config, skip, class_agnostic=True):
+        index = taught.objects[0] if taught.objects else None
+        boxes, uids = taught.boxes, tuple[str, ...]()
+        if index is not None and index < len(labels):
+            uids = (labels[index].uid,) * len(boxes)
+        elif index is not None:  # the extent of a drawn silhouette says nothing about the whole
+            seen = [box for box in boxes if box.label == AGNOSTIC_LABELS[BoxKind.SILHOUETTE]]
+            boxes = _completed(start, Picture(taught.view.rgb), seen)
+        yield TrainingSample(taught.view.rgb, boxes, frame_group(stored), TAUGHT, uids, taught.view.look_px)
 
 
 def with_generated(own: Iterable[TrainingSample], size_px: int, seed: int) -> Iterator[TrainingSample]:
-    """Yields a project's views, then views of generated frames, so that what the base detector knows is kept.
-
-    Args:
-        size_px: longer side of the generated views.
-        seed: other seeds give other frames.
-    """
+    """Yields a project's views, then views of generated frames, so that what the base detector knows is kept."""
     count = 0
     for sample in own:
         yield sample

@@ -6,7 +6,6 @@ import hashlib
 import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate
@@ -15,11 +14,11 @@ from pathlib import Path
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import MANIFEST_NAME, DatasetManifest, TrainingSample, tiled, write_dataset
 from annotator.detection.pretrained import check_start
-from annotator.detection.trained import RUN_NAME, TrainedModel, read_run
+from annotator.detection.trained import LAST, TrainedModel, resumable
 from annotator.detection.training import TrainingProgress, TrainingStoppedError, train_detector
 from annotator.project import Project, StoredFrame, StoredModel
 from annotator.types import BoxKind, DetectorKind
-from annotator.types.errors import FormatError, FrameError
+from annotator.types.errors import FrameError
 from annotator.types.messages import amount
 from annotator.workflows.detectors import AGNOSTIC, UsedModel, load_detector
 from annotator.workflows.recorded.adjusting import learn_up
@@ -30,9 +29,7 @@ from annotator.workflows.training.rounds import (
     DEFAULT_VIEW_PX,
     FIRST_PART_S,
     Choice,
-    choose_start,
     image_config,
-    part_anew,
     part_seconds,
     starting_config,
 )
@@ -73,8 +70,6 @@ class Trained:
 
 
 class Run:
-    """A run of one detector's training."""
-
     def __init__(self, project: Project, role: DetectorKind, classes: tuple[str, ...], kind: BoxKind) -> None:
         self.project, self.role, self.classes, self.kind = project, role, classes, kind
         # classes that are renamed from now on are translated
@@ -144,16 +139,12 @@ def unless_stopped(samples: Iterable[TrainingSample], check_stop: Callable[[], N
 
 
 def remove_leftovers(project: Project, role: DetectorKind) -> None:
-    """Removes what killed trainings of a role left: incomplete training sets, and timed runs without a model."""
+    """Removes what killed trainings of a role left: incomplete training sets, and runs that cannot be resumed."""
     folder = project.models_folder / role.value
     registered = {model.path.parent.resolve() for model in project.models.all(role)}
-    leftovers = list(folder.glob(f".{DATASET}.*.unfinished"))
-    for run in (path.parent for path in folder.glob(f"*/{RUN_NAME}")):
-        with suppress(FormatError):  # reported by a training that would continue it
-            record = read_run(run)
-            if record is not None and record.is_timed and run.resolve() not in registered:
-                leftovers.append(run)
-    for path in leftovers:
+    # a finished run has no checkpoints
+    runs = [path.parent for path in folder.glob("*/weights") if resumable(path / LAST) is None]
+    for path in (*folder.glob(f".{DATASET}.*.unfinished"), *(run for run in runs if run.resolve() not in registered)):
         shutil.rmtree(path, ignore_errors=True)
 
 
@@ -265,23 +256,22 @@ class _ViewTraining:
         project, plan = self.project, self.plan
         labels = self.material.labels_of(self.material.kind)
         held_out = HeldOut(project, labels, self._check_stop, self.material.kind)
-        start = choose_start(project, held_out, plan.view)
+        choice = Choice(project, held_out, plan.view)
         other_kind = len(self.material.views) - len(self.material.views_of_kind)
-        if other_kind and (start.model is None or not start.model.class_agnostic):
+        if other_kind and (choice.origin is None or not choice.origin.class_agnostic):
             kind = self.material.kind
             self.left_out.append(
                 f"{amount(other_kind, 'pseudo-view')} whose boxes are not of the majority kind, {kind}"
             )
-        self.left_out += start.left_out
-        self.view_px = start.view_px(plan.view)
+        self.left_out += choice.left_out
+        self.view_px = choice.view_px
         self.rcv = rcv_config(project, view_px=self.view_px)
-        choice = Choice(project, held_out, start)
         ends: list[float | None] = [None]
         anew = None
         if plan.view.epochs is None and (choice.origin is not None or plan.minutes is not None):
             lengths = list(part_seconds(plan.minutes or FIRST_PART_S / 60))
             ends = [begin + end for end in accumulate(lengths)]
-            anew = part_anew(lengths, start, held_out, plan.view)
+            anew = choice.part_anew(lengths)
         parts = []
         for number, end in enumerate(ends):
             report = None if self.report is None else partial(_in_part, self.report, number + 1, len(ends))

@@ -23,7 +23,6 @@ from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.annotate import TASK_FRAMES, WRITE_ATTEMPTS, annotate, annotate_with
 from annotator.workflows.proposing.runner import InlineEngine
-from annotator.workflows.proposing.tasks import GivenDetectors
 from annotator.workflows.recorded.reading import load_truth
 
 CONFIG = RcvConfig()
@@ -114,7 +113,7 @@ def test_other_settings_or_detectors_process_all_frames_again(
     annotate(people, knowing("people"), FAST, limit=2)
     options = {"config": FAST, "rotation": None, "fingerprint": "", **change}
     detectors = Wrapped(knowing("people"), options["fingerprint"]).pair(knowing("people"))
-    engine = InlineEngine(GivenDetectors(detectors))
+    engine = InlineEngine(detectors)
     again = annotate_with(people, engine, options["config"], rotation=options["rotation"], limit=2)
     assert (again.done, again.skipped) == (2, 0)
     first = people.frames.of()[0]
@@ -123,7 +122,7 @@ def test_other_settings_or_detectors_process_all_frames_again(
 
 def test_a_batch_is_one_action_of_who_started_it(people: Project, knowing: Knowing) -> None:
     def batch(config: RcvConfig, limit: int) -> tuple[int, int]:
-        engine = InlineEngine(GivenDetectors(knowing("people")))
+        engine = InlineEngine(knowing("people"))
         done = annotate_with(people, engine, config, limit=limit, author="ann")
         return done.done, done.skipped
 
@@ -156,7 +155,7 @@ def test_the_rotation_is_the_projects_unless_given(hands: Project, knowing: Know
     up = open_recording(hands.recordings.all()[0].path).frame(0).up
     level = {}
     for rotation in (None, BoxRotation.UPRIGHT):  # the project's own setting is free
-        engine = InlineEngine(GivenDetectors(knowing("hands")))
+        engine = InlineEngine(knowing("hands"))
         annotate_with(hands, engine, CONFIG, rotation=rotation, limit=1)
         boxes = [label.box for label in hands.labels.of_frame(hands.frames.of()[0].id)]
         assert boxes
@@ -267,7 +266,7 @@ def test_frames_start_from_the_previous_frames_reviewed_boxes_on_request(
     truths = load_truth(recording, 0, recording.frame(0))
     first, second = people.frames.of()[:2]
     people.labels.create(first.id, [NewLabel(truth.label, truth.box) for truth in truths], WriteContext(0, "me"))
-    engine = InlineEngine(GivenDetectors(knowing("people")))
+    engine = InlineEngine(knowing("people"))
     told = {}
     for from_reviewed in (False, True, True):
         done = annotate_with(people, engine, FAST, limit=2, from_reviewed=from_reviewed)

@@ -34,26 +34,26 @@ from annotator.workflows.training import held_out
 from annotator.workflows.training import train as workflow
 from annotator.workflows.training.held_out import HeldOut
 from annotator.workflows.training.model_report import decision_of
-from annotator.workflows.training.rounds import Choice, choose_start
+from annotator.workflows.training.rounds import Choice
 from annotator.workflows.training.samples import gather
 from annotator.workflows.training.train import Trained, train
 
 
 def test_a_training_starts_from_the_best_detector_on_held_out_frames(labelled: Project, ious: dict[str, float]) -> None:
     measured = held(labelled)
-    assert choose_start(labelled, measured, CONFIG).model is None
+    assert Choice(labelled, measured, CONFIG).origin is None
     install_base()
     ious["base detector"] = 0.5
-    assert choose_start(labelled, measured, CONFIG).model == base_model()
+    assert Choice(labelled, measured, CONFIG).origin == base_model()
     active, newest = register(labelled, "a", active=True), register(labelled, "b")
     for a, b, best in ((0.6, 0.4, active), (0.4, 0.6, newest), (0.3, 0.4, None)):
         ious.update(a=a, b=b)
-        start = choose_start(labelled, measured, CONFIG)
-        assert start.model == (base_model() if best is None else own_model(labelled, best))
+        start = Choice(labelled, measured, CONFIG)
+        assert start.origin == (base_model() if best is None else own_model(labelled, best))
         assert sorted(rival.mean_iou for rival in start.compared) == sorted([a, b, 0.5])
     # weights or a network that the settings name come first
     for changes in ({"pretrained": "never"}, {"model": "yolov8n"}, {"image_size_px": 96}):
-        assert choose_start(labelled, measured, CONFIG.model_copy(update=changes)).model is None
+        assert Choice(labelled, measured, CONFIG.model_copy(update=changes)).origin is None
 
 
 def test_a_training_takes_the_view_size_of_the_detector_that_it_starts_from(
@@ -61,9 +61,9 @@ def test_a_training_takes_the_view_size_of_the_detector_that_it_starts_from(
 ) -> None:
     write_model(pretrained.FOLDER, size_px=96)
     ious["base detector"] = 0.5
-    start = choose_start(labelled, held(labelled), CONFIG)
-    assert (start.model, start.view_px(CONFIG)) == (base_model(), 96)
-    assert choose_start(labelled, held(labelled), CONFIG.model_copy(update={"image_size_px": 128})).model is None
+    start = Choice(labelled, held(labelled), CONFIG)
+    assert (start.origin, start.view_px) == (base_model(), 96)
+    assert Choice(labelled, held(labelled), CONFIG.model_copy(update={"image_size_px": 128})).origin is None
 
 
 @pytest.mark.parametrize("learned", [HELD_OUT[0], None])
@@ -73,7 +73,7 @@ def test_no_training_starts_from_a_detector_that_may_know_held_out_frames(
 ) -> None:
     ious["a"] = 0.9
     register(labelled, "a", active=True, learned=learned)
-    assert choose_start(labelled, held(labelled, objects), CONFIG).model is None
+    assert Choice(labelled, held(labelled, objects), CONFIG).origin is None
 
 
 def test_a_damaged_detector_is_left_out_and_reported(labelled: Project, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -84,23 +84,22 @@ def test_a_damaged_detector_is_left_out_and_reported(labelled: Project, monkeypa
         return 0.5 if model == base_model() else float(len(load_detector(model.path).labels))
 
     monkeypatch.setattr(HeldOut, "mean_iou", measure)
-    start = choose_start(labelled, held(labelled), CONFIG)
-    assert start.model == base_model()
+    start = Choice(labelled, held(labelled), CONFIG)
+    assert start.origin == base_model()
     (line,) = start.left_out
     assert line.startswith("the project's detector a, which cannot be measured: ")
 
 
 def choice_of(project: Project, objects: int = 6, **changes: str) -> Choice:
     """The choice of a training with these settings that begins now."""
-    measured = held(project, objects)
-    return Choice(project, measured, choose_start(project, measured, CONFIG.model_copy(update=changes)))
+    return Choice(project, held(project, objects), CONFIG.model_copy(update=changes))
 
 
 def test_a_detector_from_random_weights_is_used_only_if_it_is_better(labelled: Project, ious: dict[str, float]) -> None:
     register(labelled, "a", active=True)
     ious.update(a=0.6, worse=0.3, better=0.7)
     choice = choice_of(labelled, pretrained="never")
-    assert choice.start.model is None
+    assert choice.origin is None
     for name, outcome in (
         ("worse", "no better on held-out frames: the project's detector a stayed in use"),
         ("better", "the best one on held-out frames: put into use"),

@@ -14,8 +14,9 @@ from view_detectors import PLAN, Fixed, held, register, trained_model
 
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import TrainingSample, read_manifest, write_dataset
-from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics
+from annotator.detection.trained import LAST, STATE, RunRecord, TrainedModel, TrainingMetrics, TrainingState
 from annotator.detection.training import TrainingProgress, TrainingStoppedError
+from annotator.detection.weights import write_tensors
 from annotator.project import Project, WriteContext
 from annotator.rcv import pseudo_view
 from annotator.rcv.config import RcvConfig
@@ -184,14 +185,18 @@ def test_a_training_can_be_stopped_while_it_draws_views_and_measures(
 def test_a_training_removes_what_killed_ones_left(labelled: Project) -> None:
     model = register(labelled, "registered")
     folder = model.path.parent.parent
-    for name, is_timed in (("registered", True), ("timed", True), ("resumable", False)):
-        (folder / name).mkdir(exist_ok=True)
-        record = RunRecord(fingerprint="", pretrained=False, note="", seconds=1.0, is_timed=is_timed)
-        record.write(folder / name)
+    for name in ("registered", "timed", "resumable", "killed"):
+        (folder / name / "weights").mkdir(parents=True, exist_ok=True)
+    record = RunRecord(fingerprint="", pretrained=False, note="", seconds=1.0)
+    for name, groups in (("timed", []), ("resumable", [{"lr": 0.1}])):
+        state = TrainingState(
+            run=record, epoch=0, updates=1, best_fitness=None, stopper={}, metrics={}, groups=groups, plain={}
+        )
+        write_tensors(folder / name / "weights" / LAST, {}, {STATE: state.model_dump_json()})
     (folder / ".dataset.x1.unfinished").mkdir()
     workflow.remove_leftovers(labelled, DetectorKind.VIEW)
     assert {path.name for path in folder.iterdir()} >= {"registered", "resumable"}
-    assert not (folder / "timed").exists()
+    assert not (folder / "timed").exists() and not (folder / "killed").exists()
     assert not (folder / ".dataset.x1.unfinished").exists()
 
 

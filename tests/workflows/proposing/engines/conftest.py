@@ -14,7 +14,6 @@ from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.annotate import annotate_with
 from annotator.workflows.proposing.runner import InlineEngine
-from annotator.workflows.proposing.tasks import GivenDetectors
 
 
 @pytest.fixture
@@ -28,5 +27,5 @@ def expected(generated: Path, knowing: Callable[..., Detectors], tmp_path_factor
     """The result of the inline engine for the generated people."""
     with create_project(tmp_path_factory.mktemp("inline"), "inline", ("person",)) as project:
         register_recording(project, open_recording(generated / "people"))
-        annotate_with(project, InlineEngine(GivenDetectors(knowing("people"))), CONFIG)
+        annotate_with(project, InlineEngine(knowing("people")), CONFIG)
         return stored(project)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import shutil
 import signal
 import subprocess
 import sys
@@ -38,13 +39,11 @@ from annotator.workflows.proposing.ray_engine import LOCAL_SWITCHES, SWITCHES, R
 from annotator.workflows.proposing.runner import Engine, InlineEngine
 from annotator.workflows.proposing.tasks import (
     DetectorSource,
-    GivenDetectors,
     Identity,
     PackedDetectors,
     Storage,
     parse_elsewhere,
     scratch_folder,
-    unpacked,
 )
 
 SAME = Identity("image", "view", ("torch", "torch"), (BoxKind.BOX, False, BoxKind.BOX, False))
@@ -128,7 +127,7 @@ def test_invalid_mappings_are_errors(word: str) -> None:
         parse_elsewhere([word])
 
 
-def test_weights_are_unpacked_into_a_private_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_weights_are_sent_to_other_machines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "training"
     folder.mkdir()
     model = UsedModel(folder / "detector.pt", BoxKind.BOX, False, "f")
@@ -137,14 +136,18 @@ def test_weights_are_unpacked_into_a_private_folder(tmp_path: Path, monkeypatch:
         PackedDetectors.of(trained)
     (folder / "detector.pt").write_bytes(b"weights")
     (folder / "model.json").write_text("{}")
-    files, _ = PackedDetectors.of(trained).files
-    place = unpacked(files, tmp_path / "out") / "detector.pt"
-    place.unlink()  # the system may remove temporary files one by one
-    assert unpacked(files, tmp_path / "out") == place.parent and place.read_bytes() == b"weights"
-    assert sorted(path.name for path in place.parent.iterdir()) == ["detector.pt", "model.json"]
-    with pytest.raises(DetectionError, match=r"detector\.pt.*: cannot be written .*TMPDIR"):
-        unpacked(files, folder / "detector.pt")
+    packed = PackedDetectors.of(trained)
+    shutil.rmtree(folder)
 
+    def read(weights: Path, *_: object, **__: object) -> tuple[bytes, str]:
+        return weights.read_bytes(), weights.with_name("model.json").read_text()
+
+    monkeypatch.setattr("annotator.workflows.detectors.load_detector", read)
+    loaded = packed.load(1)
+    assert (loaded.image, loaded.view) == ((b"weights", "{}"),) * 2
+
+
+def test_the_folder_of_cached_recordings_is_private(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     assert scratch_folder().stat().st_mode & 0o077 == 0
     scratch_folder().chmod(0o777)
@@ -242,7 +245,7 @@ def test_a_killed_driver_leaves_no_workers_and_a_restart_continues(
     wait_for(lambda: not is_alive(pid), "the worker outlives its driver")
     project.close()
     with open_project(project.path) as again:
-        done = annotate_with(again, InlineEngine(GivenDetectors(knowing("people"))), CONFIG)
+        done = annotate_with(again, InlineEngine(knowing("people")), CONFIG)
         assert done.skipped + done.done == 5 and done.skipped > 0
         assert stored(again) == expected
         assert again.problems() == []
@@ -318,7 +321,7 @@ def test_results_are_bitwise_equal_even_with_a_killed_actor(
 def test_without_ray_the_error_says_what_to_install(knowing: Knowing, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(MissingExtraError, match="ray is not installed"):
-        RayEngine(GivenDetectors(knowing("people")), 1, 1, Storage())
+        RayEngine(knowing("people"), 1, 1, Storage())
 
 
 def test_lost_actors_are_replaced_but_not_those_with_a_broken_environment(monkeypatch: pytest.MonkeyPatch) -> None:
