@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+import traceback
 import uuid
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -306,11 +307,13 @@ class JobRunner:
     def _run(self, heavy: bool) -> None:
         while (task := self._next(heavy)) is not None:
             try:
-                self._run_job(task)
+                last, exit_code = self._run_job(task)
             except Exception:  # a job that cannot be started must not block the next ones
-                LOG.exception("job %s failed", task.job_id)
-                self._update(task.job_id, state=JobState.FAILED, message=INTERNAL)
+                fault = Ended(state=JobState.FAILED, message=traceback.format_exc(), is_fault=True)
+                last, exit_code = fault, None
+            # at once: a job that waits again may be stopped by then
             with self._lock:
+                self._update(task.job_id, stage="", eta_s=None, **self._ended(task, last, exit_code))
                 task.worker = task.end = None
                 if not self._waits(task):
                     self._tasks.remove(task)
@@ -328,7 +331,8 @@ class JobRunner:
                 self._lock.wait()
         return None
 
-    def _run_job(self, task: _Task) -> None:
+    def _run_job(self, task: _Task) -> tuple[WorkerMessage | None, int | None]:
+        """Returns the last message of the worker, and its exit code."""
         job_id, began_s = task.job_id, time.monotonic()
         self._update(job_id, stage="starting")
         folder = self.folder / job_id
@@ -355,8 +359,7 @@ class JobRunner:
                     self._update(job_id, stage=stage, done=last.done, total=last.total, eta_s=eta_s)
                 case Measured():
                     self._update(job_id, curves=(*self.get(job_id).curves, last.point))
-        with self._lock:
-            self._update(job_id, stage="", eta_s=None, **self._ended(task, last, worker.exit_code))
+        return last, worker.exit_code
 
     def _ended(self, task: _Task, last: WorkerMessage | None, exit_code: int | None) -> dict[str, Any]:
         """What the record of a job gets at its end, with the last message of its worker."""

@@ -236,7 +236,7 @@ export async function manageRecordings(/** @type {App} */ app, /** @type {string
     const states = [...(isGone ? [`removed by ${removed_by}`] : []), ...(missing ? ["its folder was not found"] : [])];
     return h(
       "li",
-      { class: "row", "data-testid": `recording-${name}` },
+      { class: "row", "data-testid": `recording-${name}`, "data-key": id },
       h("span", { class: `grow ellipsis${isGone ? " muted" : ""}`, title: name }, name),
       h("span", { class: "muted number" }, numbers),
       h("span", { class: missing ? "bad" : "muted" }, states.join("; ")),
