@@ -136,7 +136,7 @@ def test_a_project_can_be_created_and_filled(
     assert info["settings"]["rotation"] == "upright"
     assert info["detectors"] == {"image": None, "view": None, "stand_in": None}
     assert sum(info["labels_by_state"].values()) == 15
-    listed = {entry["name"]: entry for entry in client.get("/api/projects").json()["projects"]}
+    listed = {entry["name"]: entry for entry in client.get("/api/projects").json()}
     assert set(listed) == {"room", "two"}
     assert (listed["two"]["frames"], listed["two"]["recordings"]) == (10, 2)
 
@@ -184,7 +184,7 @@ def test_a_moved_recording_is_located(generated: Path, tmp_path: Path, monkeypat
             gone_mount.setattr(Path, "stat", _stale(root / "people"))
             gone = client.get("/api/projects/two/frames/3").json()["error"]["message"]
             assert gone.startswith("takes/people: cannot be read (Stale file handle); restore people, or")
-        (listed,) = client.get("/api/projects").json()["projects"]
+        (listed,) = client.get("/api/projects").json()
         assert (listed["problem"], listed["missing"]) == (None, [{"id": 1, "name": "people"}])
         gone = client.get("/api/projects/two/frames/3").json()["error"]["message"]
         assert gone.startswith("takes/people: no such file or folder; restore people, or give its new path")
@@ -244,7 +244,7 @@ def test_a_renamed_project_keeps_its_labels_and_jobs(live: Live) -> None:
     assert renamed.json()["labels_by_state"]["accepted"] == 1
     assert live.client.get(ROOM).status_code == 404
     assert len(live.client.get("/api/projects/hall/frames/1").json()["labels"]) == 1
-    listed = {each["id"]: each["project"] for each in live.client.get("/api/jobs").json()["jobs"]}
+    listed = {each["id"]: each["project"] for each in live.client.get("/api/jobs").json()}
     assert listed[job.id] == "hall"
     assert live.client.get(f"/api/jobs/{job.id}/download").status_code == 200
 

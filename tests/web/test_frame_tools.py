@@ -44,7 +44,7 @@ def follow(live: Live, frame: int = 1, **body: Any) -> dict[str, Any]:
 
 
 def latest(live: Live) -> dict[str, Any]:
-    run: dict[str, Any] = live.client.get(f"{ROOM}/follow").json()["run"]
+    run: dict[str, Any] = live.client.get(f"{ROOM}/follow").json()
     return run
 
 
@@ -100,7 +100,7 @@ def test_what_cannot_be_followed_is_refused(
 ) -> None:
     (uid,) = accept_truth(project, generated)
     assert latest(live) is None
-    assert live.client.post(f"{ROOM}/follow/stop").json() == {"run": None}
+    assert live.client.post(f"{ROOM}/follow/stop").json() is None
     refused = live.client.post(f"{ROOM}/frames/1/follow", json={"revision": 1, "uid": uid, "direction": "backward"})
     assert refused.status_code == 400
     assert "is the first of its recording; there is no previous frame" in refused.json()["error"]["message"]
@@ -117,7 +117,7 @@ RAIN = {"name": "rain", "kind": "boolean", "of": "frame", "default": False}
 
 
 def edit(live: Live, expected: int = 200, **body: Any) -> Any:
-    answer = live.client.post(f"{ROOM}/classes", json={"change": body})
+    answer = live.client.post(f"{ROOM}/classes", json=body)
     assert answer.status_code == expected, answer.text
     return answer.json() if expected == 200 else answer.json()["error"]["message"]
 
