@@ -320,7 +320,7 @@ class Remove(Schema):
         return made if self.with_boxes else replace(made, change=Relabelling())
 
 
-class Order(Schema):
+class Reorder(Schema):
     """Orders the classes or the attributes."""
 
     do: Literal["order", "order_attributes"]
@@ -357,7 +357,7 @@ class RenameAttribute(Schema):
 
 
 ClassChange = Annotated[
-    Add | Style | Rename | Merge | Remove | Order | PutAttribute | RenameAttribute, Body(discriminator="do")
+    Add | Style | Rename | Merge | Remove | Reorder | PutAttribute | RenameAttribute, Body(discriminator="do")
 ]
 
 

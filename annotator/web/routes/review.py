@@ -90,9 +90,7 @@ class FitOut(Schema):
 def ortho(at: AtFrame, body: OrthoIn) -> list[OrthoView]:
     """Three views along the box's axes; points outside the box are dimmed."""
     drawn = ortho_views(at.open(), body.box.box(), body.size_px)
-    return [
-        OrthoView(name=item.name, **dict(drawn_view(at, item.view, encoded_image(item.view.rgb)))) for item in drawn
-    ]
+    return [OrthoView(name=name, **dict(drawn_view(at, view, encoded_image(view.rgb)))) for name, view in drawn.items()]
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/refit")
