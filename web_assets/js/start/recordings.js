@@ -285,13 +285,11 @@ export function createFolders(app, options) {
 
   async function show(/** @type {string} */ path) {
     try {
-      /** @type {Api.FolderListing} */
-      const listing = await app.api.get(`/api/folders?path=${encodeURIComponent(path)}`);
-      crumbs.replaceChildren(...makeCrumbs(listing.path, show));
+      /** @type {Api.FolderEntry[]} */
+      const entries = await app.api.get(`/api/folders?path=${encodeURIComponent(path)}`);
+      crumbs.replaceChildren(...makeCrumbs(path, show));
       list.replaceChildren(
-        ...(listing.entries.length
-          ? listing.entries.map((entry) => makeEntry(entry, show, options))
-          : [nothing(listing.path)]),
+        ...(entries.length ? entries.map((entry) => makeEntry(entry, show, options)) : [nothing(path)]),
       );
       list.focus();
     } catch (error) {
