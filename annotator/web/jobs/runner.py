@@ -408,7 +408,11 @@ class JobRunner:
         # listed first: what another thread begins meanwhile is not looked at
         folders = [path for path in self.folder.iterdir() if path.is_dir()] if self.folder.is_dir() else []
         with self._lock:
-            exports = self._latest_exports()
+            by_project: dict[str, list[str]] = defaultdict(list)
+            for job in self.all():
+                if self._export_file(job) is not None:
+                    by_project[job.project].append(job.id)
+            exports = {job_id for latest in by_project.values() for job_id in latest[:EXPORTS_KEPT]}
             old = [job.id for job in self.all() if job.state.ended and job.id not in exports][JOBS_KEPT:]
             for job_id in old:
                 del self._jobs[job_id]
@@ -423,14 +427,6 @@ class JobRunner:
         for path in folders:
             if path.name not in needed:
                 shutil.rmtree(path, ignore_errors=True)
-
-    def _latest_exports(self) -> set[str]:
-        """Ids of the latest exports of each project."""
-        by_project: dict[str, list[str]] = defaultdict(list)
-        for job in self.all():
-            if self._export_file(job) is not None:
-                by_project[job.project].append(job.id)
-        return {job_id for exports in by_project.values() for job_id in exports[:EXPORTS_KEPT]}
 
 
 def _public(value: Any, public_message: PublicMessage) -> Any:

@@ -373,8 +373,10 @@ def suggestions(at: AtFrame) -> SuggestionsOut:
     opened = at.open()
     min_score = frame_config(at.project, opened.frame).min_image_score
     classes = at.project.config.classes
-    found = [box for box in opened.image_detections(ready.detector) if box.score >= min_score and box.label in classes]
-    return SuggestionsOut(boxes=[Box2DJson.of(box) for box in found])
+    detector = ready.detector
+    found = opened.once(("image", detector.fingerprint), lambda: detector.detect([opened.frame])[0])
+    kept = [box for box in found if box.score >= min_score and box.label in classes]
+    return SuggestionsOut(boxes=[Box2DJson.of(box) for box in kept])
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/label/object", responses=STALE)

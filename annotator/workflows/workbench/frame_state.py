@@ -13,6 +13,7 @@ from jaxtyping import Float64
 
 from annotator.geometry.outline import visible_edges
 from annotator.geometry.projection import inside_image, project
+from annotator.image_bytes import encoded_image
 from annotator.project import StoredLabel, ViewBoxes
 from annotator.project.overview import FramePage
 from annotator.recordings import ReaderOptions, open_recording
@@ -114,7 +115,7 @@ def _drawn(frame: Frame) -> bytes:
 
     scale = min(WIDTH_PX / frame.camera.width_px, 1.0)
     size = (max(round(frame.camera.width_px * scale), 1), max(round(frame.camera.height_px * scale), 1))
-    picture = cv2.cvtColor(cv2.resize(frame.rgb, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2BGR)
+    picture = cv2.resize(frame.rgb, size, interpolation=cv2.INTER_AREA)
     xyz_m = frame.cloud.xyz_m[frame.cloud.xyz_m[:, 2] > NEAREST_M]
     px = project(frame.camera, xyz_m)
     seen = np.flatnonzero(inside_image(frame.camera, px))
@@ -122,6 +123,6 @@ def _drawn(frame: Frame) -> bytes:
     seen = seen[np.argsort(-xyz_m[seen, 2], kind="stable")]
     column, row = np.floor((px[seen] + 0.5) * scale).astype(np.int64).T
     near = np.linspace(0, 255, len(seen)).astype(np.uint8)
-    colors = cv2.applyColorMap(near[:, None], cv2.COLORMAP_JET)[:, 0]
+    colors = cv2.applyColorMap(near[:, None], cv2.COLORMAP_JET)[:, 0, ::-1]
     picture[np.clip(row, 0, size[1] - 1), np.clip(column, 0, size[0] - 1)] = colors
-    return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
+    return encoded_image(picture, "jpg", JPEG_QUALITY)
