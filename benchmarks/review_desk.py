@@ -82,8 +82,8 @@ class Desk:
         """Waits for the three pictures of a box, loaded ahead if it is the queue's next one, and looks at them."""
         opened = self.open(frame)
         begin = time.perf_counter()
-        for view in ortho_views(opened, box, VIEW_PX):
-            encoded_image(view.view.rgb)
+        for view in ortho_views(opened, box, VIEW_PX).values():
+            encoded_image(view.rgb)
         self.waited(bill, time.perf_counter() - begin, is_ahead)
         if is_ahead:
             # now the page loads the next one

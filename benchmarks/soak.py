@@ -279,7 +279,7 @@ def _keep_job(server: Server, kind: str, seen: Seen, stop: threading.Event) -> N
                 if stop.wait(1.0):
                     client.post(f"/api/jobs/{job['id']}/cancel")
                     return
-                job = next(each for each in answered(client.get("/api/jobs"))["jobs"] if each["id"] == job["id"])
+                job = next(each for each in answered(client.get("/api/jobs")) if each["id"] == job["id"])
             with seen.lock:
                 seen.jobs[f"{kind} {job['state']}"] += 1
                 if job["state"] != "done":

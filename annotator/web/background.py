@@ -207,12 +207,9 @@ class Watch(Periodic):
                     self._context.announcer.announce(project)
                     self._learner.look(name, project)
             except AnnotatorError as error:
-                self._failed(name, str(error))
+                # once, not twice a second
+                if self._problems.get(name) != str(error):
+                    LOG.warning("%s: it cannot be watched, or cannot learn: %s", name, error)
+                self._problems[name] = str(error)
             else:
                 self._problems.pop(name, None)
-
-    def _failed(self, name: str, problem: str) -> None:
-        """Logs a problem once, not twice a second."""
-        if self._problems.get(name) != problem:
-            LOG.warning("%s: it cannot be watched, or cannot learn: %s", name, problem)
-        self._problems[name] = problem

@@ -22,7 +22,6 @@ from starlette.requests import HTTPConnection
 from annotator.project import Project, StoredRecording, open_project
 from annotator.project.config import check_name
 from annotator.project.database.store import BUSY_TIMEOUT_S, patience_s, waiting_at_most
-from annotator.types import Frame
 from annotator.types.errors import AnnotatorError, ConfigError, NotFoundError, ProjectError
 from annotator.web.errors import NotSignedInError, hide_paths
 from annotator.web.folders import JOBS_FOLDER, Folders
@@ -123,10 +122,6 @@ class Context:
             if name in self._projects:
                 self._close(name)
             yield folder
-
-    def frame(self, project: Project, frame_id: int) -> Frame:
-        """A frame with its image and cloud, from the cache if possible."""
-        return self.caches.frames.read(project, frame_id)
 
     def is_open(self, name: str) -> bool:
         """True if the project of that name has been opened."""

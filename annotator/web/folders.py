@@ -40,14 +40,6 @@ class FolderEntry:
     is_folder: bool
 
 
-@dataclass(frozen=True)
-class FolderListing:
-    """The content of a folder."""
-
-    path: str
-    entries: tuple[FolderEntry, ...]
-
-
 class Folders:
     """Maps paths of browsers to paths on this computer, under names that do not reveal these.
 
@@ -57,15 +49,15 @@ class Folders:
     def __init__(self, folders: Sequence[Path]) -> None:
         self._roots = dict(_named(folders))
 
-    def list(self, path: str) -> FolderListing:
+    def list(self, path: str) -> tuple[FolderEntry, ...]:
         """Lists the sub-folders and recordings of a folder; "" lists the roots."""
         if not path:
-            return FolderListing("", tuple(_entry(name, name, root) for name, root in self._roots.items()))
+            return tuple(_entry(name, name, root) for name, root in self._roots.items())
         folder = self.find(path)
         if not folder.is_dir():
             raise _missing(path)
         entries = (_entry(name, f"{path}/{name}", place) for name, place in self._children(path, folder))
-        return FolderListing(path, tuple(e for e in entries if e.is_folder or e.recording is not None))
+        return tuple(e for e in entries if e.is_folder or e.recording is not None)
 
     def roots(self) -> tuple[tuple[Path, str], ...]:
         """The roots with their names, nested ones first."""

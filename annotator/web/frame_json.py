@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -15,6 +15,7 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 
 from annotator.project import Project, ViewBoxes
+from annotator.project.overview import FramePage, read_page
 from annotator.project.records import ViewGeometry
 from annotator.types import PseudoView
 from annotator.types.errors import StaleRevisionError
@@ -39,7 +40,8 @@ from annotator.web.schemas import (
 )
 from annotator.workflows.detectors import base_titles
 from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.frame_state import ShownFrame, ShownLabel, ShownObject, show_frame
+from annotator.workflows.workbench.frame_state import ShownObject, seen_labels, shown_objects
+from annotator.workflows.workbench.review_queue import doubt
 
 LOG = logging.getLogger("annotator.web")
 
@@ -104,11 +106,14 @@ AtFrame = Annotated[InFrame, Depends(_in_frame)]
 
 def _state(at: InFrame) -> FrameStateJson:
     project, opened = at.project, at.open()
-    shown = show_frame(project, at.frame_id, opened)
-    frame, page = opened.frame, shown.page
+    frame, page = opened.frame, read_page(project, at.frame_id)
     boxes = page.image_boxes
     undo, redo = project.history.next(at.operator)
-    version = f"{_image_version(project, shown)}{_offset(opened)}"
+    # differs if another project or recording has taken the same name or id
+    place = f"{project.config.created_ns} {page.frame.recording_id} {page.recording_name} {page.frame.key}"
+    version = hashlib.sha256(place.encode()).hexdigest()[:12]
+    # a time offset shows another image; the page ignores this
+    offset = f"&adjusted={opened.adjusted}" if opened.adjusted else ""
     return FrameStateJson.model_construct(
         frame=FrameJson.of(
             page.frame,
@@ -119,7 +124,7 @@ def _state(at: InFrame) -> FrameStateJson:
             attributes=dict(page.attributes),
         ),
         image=ImageJson(
-            url=f"/api/projects/{at.name}/frames/{at.frame_id}/image.jpg?v={version}",
+            url=f"/api/projects/{at.name}/frames/{at.frame_id}/image.jpg?v={version}{offset}",
             width=frame.camera.width_px,
             height=frame.camera.height_px,
             camera=CameraJson.of(frame.camera),
@@ -129,23 +134,11 @@ def _state(at: InFrame) -> FrameStateJson:
         image_boxes=None
         if boxes is None
         else ImageBoxesJson(boxes=[Box2DJson.of(box) for box in boxes.boxes], box_kind=boxes.box_kind),
-        objects=[_object(at.name, project, each) for each in shown.objects],
-        labels=_labels(project, shown.labels),
+        objects=[_object(at.name, project, each) for each in shown_objects(page)],
+        labels=_labels(project, page, opened),
         open_by=at.ctx.hub.open_by(at.name, at.frame_id, at.operator),
         history=HistoryJson(undo=undo, redo=redo),
     )
-
-
-def _image_version(project: Project, shown: ShownFrame) -> str:
-    """A hash for the image's URL; it differs if another project or recording has taken the same name or id."""
-    frame = shown.page.frame
-    content = f"{project.config.created_ns} {frame.recording_id} {shown.page.recording_name} {frame.key}"
-    return hashlib.sha256(content.encode()).hexdigest()[:12]
-
-
-def _offset(opened: OpenFrame) -> str:
-    """The end of an image's URL, which differs if a time offset shows another image; the page ignores it."""
-    return f"&adjusted={opened.adjusted}" if opened.adjusted else ""
 
 
 def drawn_view(at: InProject, view: PseudoView, picture: bytes) -> ViewJson:
@@ -168,26 +161,25 @@ def _view(name: str, view_id: str, size: tuple[int, int], geometry: PseudoView |
     )
 
 
-def _labels(project: Project, shown: Sequence[ShownLabel]) -> list[LabelJson]:
-    run_ids = {label.stored.run_id for label in shown} - {None}
-    measured_by = base_titles(project) if run_ids else {}
+def _labels(project: Project, page: FramePage, opened: OpenFrame) -> list[LabelJson]:
+    measured_by = base_titles(project) if {stored.run_id for stored in page.labels} - {None} else {}
     # most frames have none, and need no query
-    may_be_kept = next((each.stored.frame_id for each in shown if each.stored.label.attributes), None)
+    may_be_kept = next((stored.frame_id for stored in page.labels if stored.label.attributes), None)
     kept = frozenset[str]() if may_be_kept is None else project.labels.kept(may_be_kept)
     return [
         LabelJson.of(
-            each.stored.label,
-            box=Box3DJson.of(each.stored.label.box),
-            quality=QualityJson.of(each.stored.quality),
-            doubt=each.doubt,
-            measured_by=measured_by.get(each.stored.run_id or 0),
-            said=[SaidJson.of(said) for said in each.stored.said],
-            attributes=dict(each.stored.label.attributes),
-            kept=each.stored.label.uid in kept,
-            outline=each.outline.round(2).tolist(),
-            points=each.points,
+            stored.label,
+            box=Box3DJson.of(stored.label.box),
+            quality=QualityJson.of(stored.quality),
+            doubt=doubt(stored.quality, stored.label.score),
+            measured_by=measured_by.get(stored.run_id or 0),
+            said=[SaidJson.of(said) for said in stored.said],
+            attributes=dict(stored.label.attributes),
+            kept=stored.label.uid in kept,
+            outline=outline.round(2).tolist(),
+            points=opened.points_in(stored.label.box),
         )
-        for each in shown
+        for stored, outline in seen_labels(page, opened)
     ]
 
 

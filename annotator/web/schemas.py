@@ -274,21 +274,3 @@ class FrameStateJson(Schema):
     labels: list[LabelJson]
     open_by: list[str]
     history: HistoryJson
-
-
-class FrameRowJson(Schema):
-    """One row of the list of frames."""
-
-    id: int
-    recording: int
-    key: str
-    index: int | None
-    revision: int
-    finalised: bool
-
-
-class FrameListJson(Schema):
-    """A part of the list of frames, and the total number."""
-
-    frames: list[FrameRowJson]
-    total: int

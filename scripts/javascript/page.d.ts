@@ -48,7 +48,17 @@ type Attribute = {
 /** A label as far as its attributes are concerned. */
 type AttributeOwner = Pick<Api.LabelJson, "uid" | "label" | "attributes"> & { isNew?: boolean };
 /** Sends one change of the classes; the fields are those of `annotator.web.routes.projects`. */
-type ChangeClasses = (body: Api.ClassChange["change"]) => Promise<unknown>;
+type ChangeClasses = (
+  body:
+    | Api.Add
+    | Api.Style
+    | Api.Rename
+    | Api.Merge
+    | Api.Remove
+    | Api.Reorder
+    | Api.PutAttribute
+    | Api.RenameAttribute,
+) => Promise<unknown>;
 type Route = { project: string | null; mode: string; frame: number | null; query: URLSearchParams };
 type Direction = "next" | "previous";
 

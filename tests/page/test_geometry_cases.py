@@ -66,12 +66,12 @@ def _views(box: OrientedBox) -> dict[str, Any]:
     cloud = PointCloud(np.zeros((0, 3), np.float32), None, None)
     drawn = views_of_points(cloud, np.zeros(0, np.int64), box, round(1.7 * box.size_m.max() / 0.01))
     return {
-        item.name: {
-            "axes": item.view.axes.tolist(),
-            "metres_per_px": item.view.metres_per_px,
-            "origin_m": item.view.origin_m.tolist(),
+        name: {
+            "axes": view.axes.tolist(),
+            "metres_per_px": view.metres_per_px,
+            "origin_m": view.origin_m.tolist(),
         }
-        for item in drawn
+        for name, view in drawn.items()
     }
 
 

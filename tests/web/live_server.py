@@ -77,7 +77,7 @@ def running(settings: ServerSettings, **headers: str) -> Iterator[Live]:
 
 def look(live: Live, job_id: str) -> dict[str, Any]:
     """The current record of a job."""
-    jobs: list[dict[str, Any]] = live.client.get("/api/jobs").json()["jobs"]
+    jobs: list[dict[str, Any]] = live.client.get("/api/jobs").json()
     return next(job for job in jobs if job["id"] == job_id)
 
 

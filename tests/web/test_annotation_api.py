@@ -61,10 +61,10 @@ def test_browsers_may_cache_images(live: Live) -> None:
     assert live.client.get(f"{ROOM}/views/..%2Fproject.png").status_code in (404, 422)
 
 
-def test_a_part_of_the_list_of_frames(live: Live) -> None:
-    found = live.client.get(f"{ROOM}/frames", params={"offset": 1, "limit": 2}).json()
-    assert found["total"] == 5
-    assert [row["key"] for row in found["frames"]] == ["000001", "000002"]
+def test_frames_are_listed_with_those_beside_them(live: Live) -> None:
+    assert live.client.get(f"{ROOM}/frames", params={"recording": 1}).json() == [1, 2, 3, 4, 5]
+    beside = [live.client.get(f"{ROOM}/frames/{frame}/beside").json() for frame in (1, 2)]
+    assert beside == [{"previous": None, "next": 2}, {"previous": 1, "next": 3}]
 
 
 def test_changes_are_one_step_and_all_or_none(live: Live, project: Project) -> None:

@@ -47,7 +47,7 @@ def test_roots_have_names_that_do_not_reveal_their_paths(tmp_path: Path, tree: P
     other.mkdir(parents=True)
     folders = Folders((tree, other, tree, tmp_path / "missing"))
     listing = folders.list("")
-    assert [(e.name, e.path, e.recording) for e in listing.entries] == [
+    assert [(e.name, e.path, e.recording) for e in listing] == [
         ("data", "data", None),
         ("data-2", "data-2", None),
         ("missing", "missing", None),
@@ -60,7 +60,7 @@ def test_roots_have_names_that_do_not_reveal_their_paths(tmp_path: Path, tree: P
 def test_sub_folders_and_links_inside_are_listed(tree: Path) -> None:
     folders = Folders((tree,))
     listing = folders.list("data")
-    assert [entry.path for entry in listing.entries] == ["data/inside", "data/sub"]
+    assert [entry.path for entry in listing] == ["data/inside", "data/sub"]
     assert folders.find("data/inside/deep") == tree / "sub" / "deep"
 
 
@@ -95,19 +95,19 @@ def test_a_folder_that_may_not_be_read(tree: Path) -> None:
 
 
 def test_recordings_are_recognised_and_a_folder_with_a_cloud_can_still_be_opened(tree: Path, generated: Path) -> None:
-    entries = Folders((generated,)).list(generated.name).entries
+    entries = Folders((generated,)).list(generated.name)
     assert [(entry.name, entry.recording) for entry in entries] == [("hands", "rgbd_folder"), ("people", "rgbd_folder")]
     (tree / "sub" / "stray.npy").write_bytes(b"")
-    entries = Folders((tree,)).list("data").entries
+    entries = Folders((tree,)).list("data")
     shown = [(entry.name, entry.recording, entry.is_folder) for entry in entries]
     assert shown == [("inside", "cloud_folder", True), ("sub", "cloud_folder", True)]
 
 
 def test_folders_through_the_api(live: Live, generated: Path) -> None:
-    (top,) = live.client.get("/api/folders").json()["entries"]
+    (top,) = live.client.get("/api/folders").json()
     assert top == {"name": generated.name, "path": generated.name, "recording": None, "is_folder": True}
     inside = live.client.get("/api/folders", params={"path": generated.name}).json()
-    assert [entry["name"] for entry in inside["entries"]] == ["hands", "people"]
+    assert [entry["name"] for entry in inside] == ["hands", "people"]
     for target in ("folders", "bags"):
         answer = live.client.get(f"/api/{target}", params={"path": f"{generated.name}/../.."})
         assert (answer.status_code, answer.json()["error"]["kind"]) == (404, "NotFoundError")
@@ -136,7 +136,7 @@ def test_a_project_can_be_created_and_filled(
     assert info["settings"]["rotation"] == "upright"
     assert info["detectors"] == {"image": None, "view": None, "stand_in": None}
     assert sum(info["labels_by_state"].values()) == 15
-    listed = {entry["name"]: entry for entry in client.get("/api/projects").json()["projects"]}
+    listed = {entry["name"]: entry for entry in client.get("/api/projects").json()}
     assert set(listed) == {"room", "two"}
     assert (listed["two"]["frames"], listed["two"]["recordings"]) == (10, 2)
 
@@ -184,7 +184,7 @@ def test_a_moved_recording_is_located(generated: Path, tmp_path: Path, monkeypat
             gone_mount.setattr(Path, "stat", _stale(root / "people"))
             gone = client.get("/api/projects/two/frames/3").json()["error"]["message"]
             assert gone.startswith("takes/people: cannot be read (Stale file handle); restore people, or")
-        (listed,) = client.get("/api/projects").json()["projects"]
+        (listed,) = client.get("/api/projects").json()
         assert (listed["problem"], listed["missing"]) == (None, [{"id": 1, "name": "people"}])
         gone = client.get("/api/projects/two/frames/3").json()["error"]["message"]
         assert gone.startswith("takes/people: no such file or folder; restore people, or give its new path")
@@ -244,7 +244,7 @@ def test_a_renamed_project_keeps_its_labels_and_jobs(live: Live) -> None:
     assert renamed.json()["labels_by_state"]["accepted"] == 1
     assert live.client.get(ROOM).status_code == 404
     assert len(live.client.get("/api/projects/hall/frames/1").json()["labels"]) == 1
-    listed = {each["id"]: each["project"] for each in live.client.get("/api/jobs").json()["jobs"]}
+    listed = {each["id"]: each["project"] for each in live.client.get("/api/jobs").json()}
     assert listed[job.id] == "hall"
     assert live.client.get(f"/api/jobs/{job.id}/download").status_code == 200
 

@@ -44,7 +44,7 @@ def follow(live: Live, frame: int = 1, **body: Any) -> dict[str, Any]:
 
 
 def latest(live: Live) -> dict[str, Any]:
-    run: dict[str, Any] = live.client.get(f"{ROOM}/follow").json()["run"]
+    run: dict[str, Any] = live.client.get(f"{ROOM}/follow").json()
     return run
 
 
@@ -100,7 +100,7 @@ def test_what_cannot_be_followed_is_refused(
 ) -> None:
     (uid,) = accept_truth(project, generated)
     assert latest(live) is None
-    assert live.client.post(f"{ROOM}/follow/stop").json() == {"run": None}
+    assert live.client.post(f"{ROOM}/follow/stop").json() is None
     refused = live.client.post(f"{ROOM}/frames/1/follow", json={"revision": 1, "uid": uid, "direction": "backward"})
     assert refused.status_code == 400
     assert "is the first of its recording; there is no previous frame" in refused.json()["error"]["message"]
@@ -117,7 +117,7 @@ RAIN = {"name": "rain", "kind": "boolean", "of": "frame", "default": False}
 
 
 def edit(live: Live, expected: int = 200, **body: Any) -> Any:
-    answer = live.client.post(f"{ROOM}/classes", json={"change": body})
+    answer = live.client.post(f"{ROOM}/classes", json=body)
     assert answer.status_code == expected, answer.text
     return answer.json() if expected == 200 else answer.json()["error"]["message"]
 
@@ -166,38 +166,18 @@ def test_classes_and_attributes_are_changed_and_labels_follow(live: Live, projec
     assert live.client.post(f"{ROOM}/undo", json={"skip": True}).status_code == 200
 
 
-def test_the_list_counts_boxes_and_values(live: Live) -> None:
+def test_values_are_set_and_the_queue_is_filtered_by_them(live: Live, project: Project) -> None:
     for attribute in (POSE, RAIN):
         edit(live, do="attribute", attribute=attribute)
-    uid = change(live.client, 0, {"kind": "create", "label": "person", "box": BOX}).json()["labels"][0]["uid"]
-    set_values(live, 1, uid=uid, values={"pose": "sitting"})
-    listed = live.client.get(f"{ROOM}/classes").json()
-    (row,) = listed["classes"]
-    assert row == {"name": "person", "labels": 1, "boxes_2d": 0, "said": 0, "colour": None, "key": None}
-    assert (listed["attributes"], listed["values"]) == ([POSE, RAIN], {"pose": 1})
-
-
-def test_values_are_set_along_tracks_filtered_and_undone(live: Live, project: Project) -> None:
-    for attribute in (POSE, SHIRT, RAIN):
-        edit(live, do="attribute", attribute=attribute)
-    created = {"kind": "create", "label": "person", "box": BOX, "track_id": 5}
-    uids = [change(live.client, 0, created, frame=frame).json()["labels"][0]["uid"] for frame in (1, 2)]
-    answer = set_values(live, 1, uid=uids[0], values={"pose": "sitting", "shirt": "red"})
-    assert answer["labels"][0]["attributes"] == {"pose": "sitting", "shirt": "red"}
-    assert state(live.client, 2)["labels"][0]["attributes"] == {"shirt": "red"}
-    assert set_values(live, 1, values={"rain": True})["frame"]["attributes"] == {"rain": True}
-    stale = set_values(live, 1, 409, uid=uids[0], values={"pose": None}, revision=1)
-    assert stale["state"]["frame"]["attributes"] == {"rain": True}
-    wrong = set_values(live, 1, 400, uid=uids[0], values={"pose": "flying"})
-    assert wrong["error"]["message"] == 'person: pose must be one of sitting, standing, not "flying"'
-    assert live.client.post(f"{ROOM}/undo", json={}).json()["state"]["frame"]["attributes"] == {}
-    undone = live.client.post(f"{ROOM}/undo", json={}).json()
-    assert undone["done"] == "set attributes of 2 labels (frames 000000 to 000001)"
-    assert state(live.client, 2)["labels"][0]["attributes"] == {}
-
     first, second = propose(project, 3, 0.0), propose(project, 4, 0.5)
     assert not state(live.client, 3)["labels"][0]["kept"]
-    assert set_values(live, 3, uid=first[0], values={"pose": "standing"})["labels"][0]["kept"]
+    (label,) = set_values(live, 3, uid=first[0], values={"pose": "standing"})["labels"]
+    assert (label["kept"], label["attributes"]) == (True, {"pose": "standing"})
+    stale = set_values(live, 3, 409, uid=first[0], values={"pose": None}, revision=1)
+    assert stale["state"]["labels"][0]["attributes"] == {"pose": "standing"}
+    wrong = set_values(live, 3, 400, uid=first[0], values={"pose": "flying"})
+    assert wrong["error"]["message"] == 'person: pose must be one of sitting, standing, not "flying"'
+    assert live.client.get(f"{ROOM}/classes").json()["values"] == {"pose": 1}
 
     def queued(query: str) -> list[str]:
         return [item["uid"] for item in live.client.get(f"{ROOM}/queue?{query}").json()["items"]]

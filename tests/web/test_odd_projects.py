@@ -144,7 +144,7 @@ def test_odd_projects_are_cards_that_say_what_to_do(
     shutil.copytree(web_settings.projects_root / "room", not_text)
     answer = send(app, "GET", "/api/projects")
     assert answer.status_code == 200
-    listed = {entry["name"]: entry["problem"] for entry in answer.json()["projects"]}
+    listed = {entry["name"]: entry["problem"] for entry in answer.json()}
     assert listed.keys() == {"room", *ODD, "nonsense", "not-?-text"}
     assert listed.pop("room") is None
     assert all(listed.values())
@@ -180,7 +180,7 @@ def test_a_locked_project_delays_no_other(
         for thread in waiting:
             thread.start()
         wait_until(lambda: app.state.context._opens)
-        listed = {entry["name"]: entry["problem"] for entry in send(app, "GET", "/api/projects").json()["projects"]}
+        listed = {entry["name"]: entry["problem"] for entry in send(app, "GET", "/api/projects").json()}
         assert listed["room"] is None
         assert listed["other"] is None
         assert "is locked by another process" in listed["locked"]

@@ -95,7 +95,7 @@ def test_a_job_runs_and_reports_progress_and_result(server: Live) -> None:
     group = done["result"]["group"]
     assert group in (NICENESS, None)
     assert done["result"] == {"nice": min(os.nice(0) + NICENESS, 19), "group": group, "omp": "PASSIVE"}
-    assert server.client.get("/api/jobs").json()["jobs"] == [done]
+    assert server.client.get("/api/jobs").json() == [done]
     assert server.client.get(f"/api/jobs/{job['id']}/download").status_code == 404
 
 
@@ -180,7 +180,7 @@ def test_jobs_of_a_killed_server_become_failed(fake: None, web_settings: ServerS
     (folder / FILE).write_text(json.dumps({"jobs": [record]}))
     (folder / ("0" * 32)).mkdir()
     with running(web_settings) as live:
-        (job,) = live.client.get("/api/jobs").json()["jobs"]
+        (job,) = live.client.get("/api/jobs").json()
         assert (job["state"], job["message"]) == ("failed", "the server was stopped")
         assert [path.name for path in folder.iterdir()] == [FILE]
 
@@ -228,7 +228,7 @@ def test_invalid_and_missing_jobs_are_refused(server: Live) -> None:
     assert server.client.post("/api/projects/nobody/jobs", json={"kind": "propose"}).status_code == 404
     assert server.client.post(f"/api/jobs/{'0' * 32}/cancel").status_code == 404
     assert server.client.get(f"/api/jobs/{'0' * 32}/download").status_code == 404
-    assert server.client.get("/api/jobs").json() == {"jobs": []}
+    assert server.client.get("/api/jobs").json() == []
 
 
 def test_export_and_download(live: Live) -> None:
@@ -263,7 +263,7 @@ def test_the_latest_exports_of_each_project_are_kept(fake: None, web_settings: S
     (folder / FILE).write_text(json.dumps({"jobs": records}))
     for _ in range(2):
         with running(web_settings) as live:
-            listed = {int(job["id"], 16): job for job in live.client.get("/api/jobs").json()["jobs"]}
+            listed = {int(job["id"], 16): job for job in live.client.get("/api/jobs").json()}
             kept = {number for number, job in listed.items() if job["download"] == "kept"}
             assert kept == {1, *numbers[-EXPORTS_KEPT:]}, "exports of other projects do not count"
             assert len(listed) == JOBS_KEPT + len(kept)

@@ -3,9 +3,6 @@
 import { button, h } from "./dom.js";
 import { messageOf } from "./errors.js";
 
-/** Number of frames that one request for the list returns. */
-const PAGE = 1000;
-
 /**
  * @param {HTMLElement} host the element that contains the picture.
  * @param {{onRetry: () => void, onStep: (which: Direction) => void}} actions what the buttons do.
@@ -42,15 +39,7 @@ export function createFrameProblem(host, { onRetry, onStep }) {
 
 /** The frame before or after one that cannot be read, in the same recording; null if there is none. */
 export async function frameBeside(/** @type {App} */ app, /** @type {number} */ id, /** @type {Direction} */ which) {
-  let before = null;
-  for (let offset = 0, total = 1; offset < total; offset += PAGE) {
-    const page = await app.api.get(`${app.path("frames")}?offset=${offset}&limit=${PAGE}`);
-    total = page.total;
-    for (const row of page.frames) {
-      const [here, wanted] = which === "next" ? [before, row] : [row, before];
-      if (here?.id === id) return wanted?.recording === here.recording ? wanted.id : null;
-      before = row;
-    }
-  }
-  return null;
+  /** @type {Api.Beside} */
+  const beside = await app.api.get(app.path("frames", id, "beside"));
+  return beside[which];
 }

@@ -120,8 +120,8 @@ export function followImports(app, onDone) {
   async function look() {
     const before = running();
     try {
-      /** @type {Api.JobList} */
-      const { jobs } = await app.api.get("/api/jobs");
+      /** @type {Api.Job[]} */
+      const jobs = await app.api.get("/api/jobs");
       if (isOver) return;
       // the answer lacks jobs that were started after the request
       const begun = app.state.jobs.filter((job) => isImport(job) && !jobs.some(({ id }) => id === job.id));

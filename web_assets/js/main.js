@@ -301,8 +301,8 @@ function releaseMouseFocus(/** @type {MouseEvent} */ event) {
 /** Loads the jobs. An error is not shown: the page works without the list, and events add the jobs later. */
 async function loadJobs() {
   try {
-    /** @type {Api.JobList} */
-    const { jobs } = await app.api.get("/api/jobs");
+    /** @type {Api.Job[]} */
+    const jobs = await app.api.get("/api/jobs");
     app.state.set({ jobs });
   } catch (error) {
     console.debug(`jobs: ${messageOf(error)}`);

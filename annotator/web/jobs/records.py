@@ -161,9 +161,6 @@ def in_background(request: JobRequest) -> bool:
     return isinstance(request, TrainRequest) and request.background
 
 
-# Stage of a job that proposes 3D boxes from 2D boxes.
-LIFT_STAGE = "propose 3D boxes"
-
 JobKind = Literal["train", "propose", "lift", "boxes", "export", "import", "copy"]
 # Those that keep the processor busy run one after the other. So do the others, which never wait for the first ones.
 HEAVY: tuple[JobKind, ...] = ("train", "propose", "lift")

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+import traceback
 import uuid
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -142,14 +143,17 @@ class _Task:
     """
 
     job_id: str
-    path: Path
-    request: JobRequest
+    order: Order
     worker: WorkerProcess | None = None
     end: Literal["stopped", "aside"] | None = None
 
     @property
     def is_heavy(self) -> bool:
-        return self.request.kind in HEAVY
+        return self.order.request.kind in HEAVY
+
+    @property
+    def in_background(self) -> bool:
+        return in_background(self.order.request)
 
 
 class JobRunner:
@@ -184,15 +188,23 @@ class JobRunner:
 
     def add(self, project: str, path: Path, request: JobRequest, operator: str) -> Job:
         """Adds a job for the project in the folder `path`."""
+        order = Order(
+            target=WORK[request.kind],
+            project=path.resolve(),
+            folder=self.folder.resolve() / uuid.uuid4().hex,
+            readable=self._readable,
+            operator=operator,
+            request=request,
+        )
         job = Job(
-            id=uuid.uuid4().hex,
+            id=order.folder.name,
             project=project,
             kind=request.kind,
             created_ns=time.time_ns(),
             operator=operator,
             background=in_background(request),
         )
-        task = _Task(job.id, path, request)
+        task = _Task(job.id, order)
         with self._lock:
             if sum(self._waits(each) for each in self._tasks) >= MOST_WAITING:
                 raise ConfigError(f"{MOST_WAITING} jobs are waiting already; stop some, or wait until they are done")
@@ -220,7 +232,7 @@ class JobRunner:
 
     def _background(self) -> list[_Task]:
         """The running jobs in the background."""
-        return [task for task in self._tasks if in_background(task.request) and not self._waits(task)]
+        return [task for task in self._tasks if task.in_background and not self._waits(task)]
 
     def _waits(self, task: _Task) -> bool:
         return self._jobs[task.job_id].state is JobState.QUEUED
@@ -306,11 +318,13 @@ class JobRunner:
     def _run(self, heavy: bool) -> None:
         while (task := self._next(heavy)) is not None:
             try:
-                self._run_job(task)
+                last, exit_code = self._run_job(task)
             except Exception:  # a job that cannot be started must not block the next ones
-                LOG.exception("job %s failed", task.job_id)
-                self._update(task.job_id, state=JobState.FAILED, message=INTERNAL)
+                fault = Ended(state=JobState.FAILED, message=traceback.format_exc(), is_fault=True)
+                last, exit_code = fault, None
+            # at once: a job that waits again may be stopped by then
             with self._lock:
+                self._update(task.job_id, stage="", eta_s=None, **self._ended(task, last, exit_code))
                 task.worker = task.end = None
                 if not self._waits(task):
                     self._tasks.remove(task)
@@ -322,26 +336,18 @@ class JobRunner:
                 lane = [task for task in self._tasks if task.is_heavy == heavy and self._waits(task)]
                 if lane:
                     # those in the background last
-                    task = min(lane, key=lambda each: in_background(each.request))
+                    task = min(lane, key=lambda each: each.in_background)
                     self._jobs[task.job_id] = self._jobs[task.job_id].model_copy(update={"state": JobState.RUNNING})
                     return task
                 self._lock.wait()
         return None
 
-    def _run_job(self, task: _Task) -> None:
+    def _run_job(self, task: _Task) -> tuple[WorkerMessage | None, int | None]:
+        """Returns the last message of the worker, and its exit code."""
         job_id, began_s = task.job_id, time.monotonic()
         self._update(job_id, stage="starting")
-        folder = self.folder / job_id
-        private_folder(folder)
-        order = Order(
-            target=WORK[task.request.kind],
-            project=task.path.resolve(),
-            folder=folder.resolve(),
-            readable=self._readable,
-            operator=self.get(job_id).operator,
-            request=task.request,
-        )
-        worker = WorkerProcess(order, folder / WORK_LOG)
+        private_folder(task.order.folder)
+        worker = WorkerProcess(task.order, task.order.folder / WORK_LOG)
         with self._lock:
             task.worker = worker
             if self._closed or task.end:
@@ -351,12 +357,13 @@ class JobRunner:
             match last:
                 case Progress():
                     stage = "stopping" if task.end == "stopped" else last.stage
-                    eta_s = _estimate(last, began_s)
+                    # at the average speed so far
+                    spent_s, left = time.monotonic() - began_s, last.total - last.done
+                    eta_s = spent_s * left / last.done if 0 < last.done <= last.total else None
                     self._update(job_id, stage=stage, done=last.done, total=last.total, eta_s=eta_s)
                 case Measured():
                     self._update(job_id, curves=(*self.get(job_id).curves, last.point))
-        with self._lock:
-            self._update(job_id, stage="", eta_s=None, **self._ended(task, last, worker.exit_code))
+        return last, worker.exit_code
 
     def _ended(self, task: _Task, last: WorkerMessage | None, exit_code: int | None) -> dict[str, Any]:
         """What the record of a job gets at its end, with the last message of its worker."""
@@ -378,12 +385,11 @@ class JobRunner:
                 return {"state": state, "message": self._public_message(message)}
             case _ if task.end:
                 return {"state": JobState.CANCELLED, "message": "stopped"}
-        LOG.error("job %s: its worker ended with code %s\n%s", job_id, exit_code, self._log_end(job_id))
-        return {**failed, "message": f"the worker ended unexpectedly ({_reason(exit_code)})"}
-
-    def _log_end(self, job_id: str) -> str:
-        path = self.folder / job_id / WORK_LOG
-        return end_of_file(path, 4000) if path.is_file() else ""
+        log = task.order.folder / WORK_LOG
+        said = end_of_file(log, 4000) if log.is_file() else ""
+        LOG.error("job %s: its worker ended with code %s\n%s", job_id, exit_code, said)
+        why = "killed, possibly out of memory" if exit_code == -9 else f"exit code {exit_code}; see the server's log"
+        return {**failed, "message": f"the worker ended unexpectedly ({why})"}
 
     def _update(self, job_id: str, **changes: Any) -> Job:
         # within the lock, so that concurrent changes reach the pages and the journal in the same order
@@ -402,7 +408,11 @@ class JobRunner:
         # listed first: what another thread begins meanwhile is not looked at
         folders = [path for path in self.folder.iterdir() if path.is_dir()] if self.folder.is_dir() else []
         with self._lock:
-            exports = self._latest_exports()
+            by_project: dict[str, list[str]] = defaultdict(list)
+            for job in self.all():
+                if self._export_file(job) is not None:
+                    by_project[job.project].append(job.id)
+            exports = {job_id for latest in by_project.values() for job_id in latest[:EXPORTS_KEPT]}
             old = [job.id for job in self.all() if job.state.ended and job.id not in exports][JOBS_KEPT:]
             for job_id in old:
                 del self._jobs[job_id]
@@ -418,21 +428,6 @@ class JobRunner:
             if path.name not in needed:
                 shutil.rmtree(path, ignore_errors=True)
 
-    def _latest_exports(self) -> set[str]:
-        """Ids of the latest exports of each project."""
-        by_project: dict[str, list[str]] = defaultdict(list)
-        for job in self.all():
-            if self._export_file(job) is not None:
-                by_project[job.project].append(job.id)
-        return {job_id for exports in by_project.values() for job_id in exports[:EXPORTS_KEPT]}
-
-
-def _estimate(message: Progress, began: float) -> float | None:
-    """Remaining seconds at the average speed so far."""
-    if not 0 < message.done <= message.total:
-        return None
-    return (time.monotonic() - began) * (message.total - message.done) / message.done
-
 
 def _public(value: Any, public_message: PublicMessage) -> Any:
     """The same JSON with every text converted for browsers."""
@@ -445,9 +440,3 @@ def _public(value: Any, public_message: PublicMessage) -> Any:
             return [_public(entry, public_message) for entry in value]
         case _:
             return value
-
-
-def _reason(exit_code: int | None) -> str:
-    if exit_code == -9:
-        return "killed, possibly out of memory"
-    return f"exit code {exit_code}; see the server's log"

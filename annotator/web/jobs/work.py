@@ -15,7 +15,6 @@ from annotator.project.backup.take_in import copy_project
 from annotator.types import DetectorKind
 from annotator.types.messages import amount
 from annotator.web.jobs.records import (
-    LIFT_STAGE,
     BoxesRequest,
     CopyRequest,
     CurvePoint,
@@ -51,6 +50,7 @@ from annotator.workflows.training.train import VIEW_DEFAULTS, Trained, TrainPlan
 from annotator.workflows.workbench.loaded_detectors import require_view
 
 MOST_FAILURES = 20
+LIFT_STAGE = "propose 3D boxes"
 RESUMES = "stopped; training again with the same boxes continues from here"
 
 

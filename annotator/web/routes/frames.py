@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Path, Query
+from fastapi import APIRouter, Path
 from fastapi.responses import JSONResponse, Response
 from pydantic import Field
 
@@ -23,6 +23,7 @@ from annotator.project.changes import (
     Payload,
     TrackId,
 )
+from annotator.project.overview import neighbours
 from annotator.project.records import BoxRecord
 from annotator.types import BoxKind, Suggestion
 from annotator.types.errors import HistoryError
@@ -33,8 +34,6 @@ from annotator.web.schemas import (
     MOST_BOXES,
     Box2DJson,
     FrameChange,
-    FrameListJson,
-    FrameRowJson,
     FrameStateJson,
     LabelValues,
     RowId,
@@ -159,20 +158,25 @@ class StepOut(Schema):
     done: str
 
 
+class Beside(Schema):
+    """The frames before and after one in its recording."""
+
+    previous: int | None
+    next: int | None
+
+
 @router.get("/api/projects/{name}/frames")
-def frames(
-    at: AtProject,
-    recording: RowId | None = None,
-    offset: RowId = 0,
-    limit: Annotated[int, Query(ge=1, le=1000)] = 200,
-) -> FrameListJson:
-    """A part of the list of frames, in order."""
+def frames(at: AtProject, recording: RowId | None = None) -> list[int]:
+    """The frames of the project, or of a recording, in order."""
     found = at.project.frames.of(None if recording is None else [recording])
-    present = [frame for frame in found if frame.index is not None]
-    shown = present[offset : offset + limit]
-    return FrameListJson(
-        frames=[FrameRowJson.of(each, recording=each.recording_id) for each in shown], total=len(present)
-    )
+    return [frame.id for frame in found if frame.index is not None]
+
+
+@router.get("/api/projects/{name}/frames/{frame_id}/beside")
+def beside(at: AtFrame) -> Beside:
+    """The frames beside one, also beside one that cannot be read."""
+    previous, following = neighbours(at.project, at.project.frames.get(at.frame_id))
+    return Beside(previous=previous, next=following)
 
 
 @router.get("/api/projects/{name}/frames/{frame_id}", response_model=FrameStateJson)

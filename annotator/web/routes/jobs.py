@@ -29,12 +29,6 @@ router = APIRouter(tags=["jobs"])
 RandomId = Annotated[str, Path(pattern="^[0-9a-f]{32}$")]
 
 
-class JobList(BaseModel):
-    """All jobs, the newest first."""
-
-    jobs: list[Job]
-
-
 class FormatInfo(BaseModel):
     """An export format.
 
@@ -60,9 +54,9 @@ def begin(at: AtProject, body: Annotated[JobRequest, Body()]) -> Job:
 
 
 @router.get("/api/jobs")
-def jobs(ctx: Ctx, operator: Operator) -> JobList:
-    """All jobs, including those from before the server was started."""
-    return JobList(jobs=ctx.jobs.all())
+def jobs(ctx: Ctx, operator: Operator) -> list[Job]:
+    """All jobs, the newest first, including those from before the server was started."""
+    return ctx.jobs.all()
 
 
 @router.post("/api/jobs/{id}/cancel")

@@ -9,7 +9,7 @@ import shlex
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Body
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from annotator.files import why_missing
@@ -210,16 +210,10 @@ class RemovedProject(BaseModel):
     command: str
 
 
-class ProjectList(BaseModel):
-    """All projects."""
-
-    projects: list[ProjectSummary]
-
-
 @router.get("/api/projects")
-def projects(ctx: Ctx, operator: Operator) -> ProjectList:
+def projects(ctx: Ctx, operator: Operator) -> list[ProjectSummary]:
     """All projects in the server's projects folder."""
-    return ProjectList(projects=[summary(ctx, listed) for listed in list_projects(ctx.settings.projects_root)])
+    return [summary(ctx, listed) for listed in list_projects(ctx.settings.projects_root)]
 
 
 @router.post("/api/projects", status_code=201)
@@ -326,7 +320,7 @@ class Remove(Schema):
         return made if self.with_boxes else replace(made, change=Relabelling())
 
 
-class Order(Schema):
+class Reorder(Schema):
     """Orders the classes or the attributes."""
 
     do: Literal["order", "order_attributes"]
@@ -362,12 +356,9 @@ class RenameAttribute(Schema):
         return edit.rename_attribute(config, self.name, self.new)
 
 
-class ClassChange(Schema):
-    """One change of the classes or attributes."""
-
-    change: Annotated[
-        Add | Style | Rename | Merge | Remove | Order | PutAttribute | RenameAttribute, Field(discriminator="do")
-    ]
+ClassChange = Annotated[
+    Add | Style | Rename | Merge | Remove | Reorder | PutAttribute | RenameAttribute, Body(discriminator="do")
+]
 
 
 class ValuesIn(FrameChange):
@@ -387,7 +378,7 @@ def classes(at: AtProject) -> ClassList:
 def change_classes_of(at: AtProject, body: ClassChange) -> ProjectInfo:
     """Change the classes or attributes; labels follow. One undo step."""
     try:
-        at.project.change_classes(body.change.edit, at.operator)
+        at.project.change_classes(body.edit, at.operator)
     except ValidationError as error:
         raise ConfigError(first_problem(error)) from error
     return project_info(at)

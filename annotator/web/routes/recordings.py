@@ -12,7 +12,7 @@ from annotator.recordings import ReaderOptions
 from annotator.recordings.recording import parse_options
 from annotator.types.errors import InputError
 from annotator.web.context import AtProject, Ctx, InProject, Operator
-from annotator.web.folders import FolderListing
+from annotator.web.folders import FolderEntry
 from annotator.web.jobs.records import ImportRequest, Job
 from annotator.web.routes.projects import RecordingInfo, recording_info
 from annotator.web.schemas import RowId, Schema
@@ -127,7 +127,7 @@ class AddedRecordings(BaseModel):
 
 
 @router.get("/api/folders")
-def folders(ctx: Ctx, operator: Operator, path: FolderPath = "") -> FolderListing:
+def folders(ctx: Ctx, operator: Operator, path: FolderPath = "") -> tuple[FolderEntry, ...]:
     """The sub-folders and recordings in a folder; "" lists the server's folders."""
     return ctx.folders.list(path)
 

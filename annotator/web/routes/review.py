@@ -90,9 +90,7 @@ class FitOut(Schema):
 def ortho(at: AtFrame, body: OrthoIn) -> list[OrthoView]:
     """Three views along the box's axes; points outside the box are dimmed."""
     drawn = ortho_views(at.open(), body.box.box(), body.size_px)
-    return [
-        OrthoView(name=item.name, **dict(drawn_view(at, item.view, encoded_image(item.view.rgb)))) for item in drawn
-    ]
+    return [OrthoView(name=name, **dict(drawn_view(at, view, encoded_image(view.rgb)))) for name, view in drawn.items()]
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/refit")
@@ -375,8 +373,10 @@ def suggestions(at: AtFrame) -> SuggestionsOut:
     opened = at.open()
     min_score = frame_config(at.project, opened.frame).min_image_score
     classes = at.project.config.classes
-    found = [box for box in opened.image_detections(ready.detector) if box.score >= min_score and box.label in classes]
-    return SuggestionsOut(boxes=[Box2DJson.of(box) for box in found])
+    detector = ready.detector
+    found = opened.once(("image", detector.fingerprint), lambda: detector.detect([opened.frame])[0])
+    kept = [box for box in found if box.score >= min_score and box.label in classes]
+    return SuggestionsOut(boxes=[Box2DJson.of(box) for box in kept])
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/label/object", responses=STALE)

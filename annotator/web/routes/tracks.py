@@ -11,6 +11,7 @@ from fastapi.responses import StreamingResponse
 from pydantic import Field
 
 from annotator.project import StoredFrame
+from annotator.project.overview import read_page
 from annotator.types import DetectorKind, Label, ReviewState
 from annotator.types.errors import AnnotatorError, DetectionError
 from annotator.web.context import AtProject, InProject
@@ -22,7 +23,7 @@ from annotator.workflows.tracks.follow_run import follow_from_frame
 from annotator.workflows.tracks.interpolate import box_fitter, interpolate_back
 from annotator.workflows.tracks.propose_boxes import boxes_of
 from annotator.workflows.workbench.contact_sheet import SeenBox, accept_boxes
-from annotator.workflows.workbench.frame_state import show_frame
+from annotator.workflows.workbench.frame_state import seen_labels
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector, has_view_with_classes
 
 router = APIRouter(tags=["tracks"])
@@ -41,8 +42,8 @@ class TrackBox(Schema):
     state: ReviewState
 
 
-class CopyNextIn(FrameChange):
-    """A label, reviewed or not."""
+class LabelIn(FrameChange):
+    """A label."""
 
     uid: Uid
 
@@ -54,10 +55,9 @@ class CopyNextOut(Schema):
     uid: str
 
 
-class CarryIn(FrameChange):
+class CarryIn(LabelIn):
     """A reviewed label, and its box before it was corrected."""
 
-    uid: Uid
     was: Box3DJson
 
 
@@ -74,16 +74,9 @@ class FollowIn(FrameChange):
     direction: Direction = "forward"
 
 
-class FollowOut(Schema):
-    """The operator's latest run, or null."""
-
-    run: FollowRunJson | None
-
-
-class InterpolateIn(FrameChange):
+class InterpolateIn(LabelIn):
     """A reviewed label; proposals fill the frames back to its track's previous key frame. `refit`: refit each box."""
 
-    uid: Uid
     refit: bool = False
 
 
@@ -105,7 +98,7 @@ def track(at: AtProject, recording_id: RowId, track_id: TrackId) -> list[TrackBo
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/copy-next", responses=STALE)
-def copy_to_next(at: AtFrame, body: CopyNextIn) -> CopyNextOut:
+def copy_to_next(at: AtFrame, body: LabelIn) -> CopyNextOut:
     """Propose a box in the next frame, moved along its track; one undo step."""
     frames = at.ctx.caches.frames
     with at.change(body):
@@ -150,15 +143,15 @@ def follow(at: AtFrame, body: FollowIn) -> FollowRunJson:
 
 
 @router.get("/api/projects/{name}/follow")
-def follow_run(at: AtProject) -> FollowOut:
+def follow_run(at: AtProject) -> FollowRunJson | None:
     """The operator's latest run in this project."""
-    return FollowOut(run=at.ctx.follow_runs.latest(at.project, at.operator))
+    return at.ctx.follow_runs.latest(at.project, at.operator)
 
 
 @router.post("/api/projects/{name}/follow/stop")
-def stop_following(at: AtProject) -> FollowOut:
+def stop_following(at: AtProject) -> FollowRunJson | None:
     """Stop the operator's run; the boxes found so far stay."""
-    return FollowOut(run=at.ctx.follow_runs.stop(at.project, at.operator))
+    return at.ctx.follow_runs.stop(at.project, at.operator)
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/interpolate", responses=STALE)
@@ -226,8 +219,8 @@ def track_sheet(at: AtProject, recording_id: RowId, track_id: TrackId) -> Stream
 @router.get("/api/projects/{name}/frames/{frame_id}/sheet", response_class=StreamingResponse, responses=STREAM)
 def frame_sheet(at: AtFrame) -> StreamingResponse:
     """The pictures of a frame's boxes, as those of a track."""
-    shown = show_frame(at.project, at.frame_id, at.open())
-    return _tiles(at, [(shown.page.frame, each.stored.label) for each in shown.labels])
+    page = read_page(at.project, at.frame_id)
+    return _tiles(at, [(page.frame, stored.label) for stored, _ in seen_labels(page, at.open())])
 
 
 def _tiles(at: InProject, boxes: Sequence[tuple[StoredFrame, Label]]) -> StreamingResponse:

@@ -80,20 +80,6 @@ class SceneContent:
     reset_camera: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class InitialCamera:
-    """The initial pose of the viewport's camera, in the camera frame, metres.
-
-    Attributes:
-        look_at: the point at the centre of the screen.
-        up: unit vector that points up on the screen.
-    """
-
-    position: Float64[np.ndarray, "3"]
-    look_at: Float64[np.ndarray, "3"]
-    up: Float64[np.ndarray, "3"]
-
-
 # Depth and height colours cover the range between these percentiles, so that outliers do not compress them.
 LOW_PERCENT, HIGH_PERCENT = 2.0, 98.0
 # Point size as a share of the cloud's median distance: about the spacing of a thinned RGB-D cloud.
@@ -166,14 +152,15 @@ def scene_up(frame: Frame) -> Float64[np.ndarray, "3"]:
     return CAMERA_UP if frame.up is None else frame.up
 
 
-def initial_camera(frame: Frame) -> InitialCamera:
-    """A pose behind and slightly above the recording's camera, looking along its optical axis."""
+def initial_camera(frame: Frame) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
+    """Where the viewport's camera is first, behind and slightly above the recording's one, and the point on the optical
+    axis that it looks at; metres, camera frame.
+    """
     ahead_m = EMPTY_DISTANCE_M
     if len(frame.cloud):
         ahead_m = max(float(np.median(frame.cloud.xyz_m[:: max(1, len(frame.cloud) // SAMPLE), 2])), 0.2)
-    up = scene_up(frame)
     axis = np.array([0.0, 0.0, 1.0])
-    return InitialCamera(ahead_m * (ABOVE * up - BEHIND * axis), ahead_m * axis, up)
+    return ahead_m * (ABOVE * scene_up(frame) - BEHIND * axis), ahead_m * axis
 
 
 def _gray(share: Float[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
@@ -237,25 +224,6 @@ HEAD_LENGTH, HEAD_RADIUS, HEAD_LINES = 0.12, 0.045, 16
 HEADING_FROM, HEADING_TO, HEADING_RADIUS = 0.08, 0.4, 0.13
 
 
-@dataclass(frozen=True, eq=False)
-class ViewPlacement:
-    """The pose of a pseudo-view's image in space, facing the direction that it was rendered from.
-
-    Attributes:
-        center_m: centre of the image, camera frame.
-        R_camera_view: columns = right, down and into the image.
-        size_m: width and height.
-        seen_from_m, looks_at_m: ends of the viewing direction's arrow: from in front of the image, through its centre,
-            to the median depth of its points.
-    """
-
-    center_m: Float64[np.ndarray, "3"]
-    R_camera_view: Float64[np.ndarray, "3 3"]
-    size_m: Float64[np.ndarray, "2"]
-    seen_from_m: Float64[np.ndarray, "3"]
-    looks_at_m: Float64[np.ndarray, "3"]
-
-
 def box_lines(size_m: Float64[np.ndarray, "3"]) -> Segments:
     """Edges of a box in its own axes, and an arrow from the middle of its top to beyond its front (+x): its heading.
 
@@ -317,8 +285,10 @@ def arrow_lines(
     return np.concatenate([np.stack([start_m, end_m])[None], cone, rim]).astype(np.float32)
 
 
-def view_placement(view: PseudoView) -> ViewPlacement:
-    """The pose of a pseudo-view's image: parallel to its plane, in front of its nearest point."""
+def view_placement(view: PseudoView) -> Float64[np.ndarray, "3 3"]:
+    """Where a pseudo-view's image is shown, parallel to its plane, camera frame. Rows: the start of the viewing
+    direction's arrow; the centre of the image, in front of its nearest point; the arrow's end, at the median depth.
+    """
     height_px, width_px = view.rgb.shape[:2]
     right, down = view.origin_m + 0.5 * (np.array([width_px, height_px]) - 1) * view.metres_per_px
     depth = view.xyz_m @ view.axes[2].astype(np.float32)
@@ -326,8 +296,7 @@ def view_placement(view: PseudoView) -> ViewPlacement:
     median = float(np.median(depth)) if len(depth) else 0.0
     in_front = near - GAP * float(view.extent_m.max())
     seen_from = in_front - 2 * GAP * float(view.extent_m.max())
-    points = np.array([[right, down, z] for z in (in_front, seen_from, median)]) @ view.axes
-    return ViewPlacement(points[0], view.axes.T.copy(), view.extent_m, points[1], points[2])
+    return np.array([[right, down, z] for z in (seen_from, in_front, median)]) @ view.axes
 
 
 def _border_px(box: Box2D) -> Float64[np.ndarray, "n 2"]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Callable, Coroutine
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +14,6 @@ from annotator.types import Frame, OrientedBox, PointCloud, ReviewState
 from annotator.web.viewport.drawing import (
     Draft,
     Gizmo,
-    InitialCamera,
     SceneContent,
     ShownBox,
     arrow_lines,
@@ -94,7 +93,7 @@ class Scene:
         before, self.content = self.content, content
         with self._server.atomic():
             if content.frame is not None and (content.key != before.key or content.reset_camera):
-                self._look_from(initial_camera(content.frame), scene_up(content.frame))
+                self._look_from(content.frame)
             counts = self._show_cloud(before)
             self._show_boxes()
             self._show_selected(hold_gizmo)
@@ -194,17 +193,16 @@ class Scene:
             self._api.add_image(
                 f"/draft/view{number}",
                 _with_alpha(view.rgb),
-                float(placement.size_m[0]),
-                float(placement.size_m[1]),
+                *view.extent_m.tolist(),
                 format="png",
-                wxyz=Rotation.from_matrix(placement.R_camera_view).as_quat(scalar_first=True),
-                position=placement.center_m,
+                wxyz=Rotation.from_matrix(view.axes.T).as_quat(scalar_first=True),
+                position=placement[1],
             )
         if not placements:
             self._remove(AXES)
             return
         # the head is at the view's image, in front of all points
-        arrows = np.concatenate([arrow_lines(p.seen_from_m, p.center_m, p.looks_at_m) for p in placements])
+        arrows = np.concatenate([arrow_lines(*placement) for placement in placements])
         self._lines(AXES, arrows, _light(AXIS_COLOR), THICK_PX)
 
     # --- helpers ---------------------------------------------------------------------------------------------------
@@ -225,16 +223,15 @@ class Scene:
         if handle is not None:
             handle.remove()
 
-    def _look_from(self, camera: InitialCamera, up: Sequence[float] | np.ndarray) -> None:
-        self._api.set_up_direction(np.asarray(up, np.float64))
+    def _look_from(self, frame: Frame) -> None:
+        up, (position, look_at) = scene_up(frame), initial_camera(frame)
+        self._api.set_up_direction(up)
         initial = self._server.initial_camera
         initial.fov = np.deg2rad(60.0)
-        initial.up, initial.position, initial.look_at = camera.up, camera.position, camera.look_at
+        initial.up, initial.position, initial.look_at = up, position, look_at
         for client in self._server.get_clients().values():
             with client.atomic():
-                client.camera.up_direction = camera.up
-                client.camera.position = camera.position
-                client.camera.look_at = camera.look_at
+                client.camera.up_direction, client.camera.position, client.camera.look_at = up, position, look_at
 
 
 def _brighter(color: tuple[int, int, int]) -> tuple[int, int, int]:

@@ -17,6 +17,7 @@ from starlette.requests import HTTPConnection, Request
 from starlette.responses import Response
 
 from annotator.project import Project
+from annotator.project.overview import read_page
 from annotator.types import BoxKind, Label, ReviewState
 from annotator.types.errors import NotFoundError
 from annotator.web.background import Periodic
@@ -27,7 +28,7 @@ from annotator.web.viewport.scene import Scene
 from annotator.web.viewport.viser_page import ViserPage, forward_http, forward_socket
 from annotator.workflows.workbench.drawing_steps import label_object
 from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.frame_state import show_frame
+from annotator.workflows.workbench.frame_state import seen_labels
 
 if TYPE_CHECKING:
     import viser
@@ -296,10 +297,10 @@ async def viser_socket(id: str, socket: WebSocket, operator: Operator, viewports
 
 def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> SceneContent:
     opened = ctx.caches.frames.open(project, frame_id)
-    shown = show_frame(project, frame_id, opened)
-    labels = [each.stored.label for each in shown.labels]
+    page = read_page(project, frame_id)
+    labels = [stored.label for stored, _ in seen_labels(page, opened)]
     return SceneContent(
-        key=(project.path.name, shown.page.frame.recording_id),
+        key=(project.path.name, page.frame.recording_id),
         frame=opened.frame,
         boxes=_boxes(labels, body.previews),
         selected=body.selected,

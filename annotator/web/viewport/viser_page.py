@@ -31,21 +31,6 @@ HOST = "127.0.0.1"
 MOST_SILENT = 32
 
 _starting = threading.Lock()
-_quiet = threading.Lock()
-
-
-@contextmanager
-def silence() -> Iterator[None]:
-    """Suppresses viser's messages on the terminal, which it prints on start and stop even with `verbose=False`."""
-    import rich
-
-    with _quiet:
-        console = rich.get_console()
-        before, console.quiet = console.quiet, True
-        try:
-            yield
-        finally:
-            console.quiet = before
 
 
 def start_viser(host: str, origin: str) -> viser.ViserServer:
@@ -54,8 +39,11 @@ def start_viser(host: str, origin: str) -> viser.ViserServer:
     Any page in any browser on this computer may open a WebSocket to a port of 127.0.0.1, and viser accepts all of them.
     With a secret origin, which no browser sends, only the proxy can connect.
     """
+    import rich
     import viser
 
+    # viser prints on start and stop, even with `verbose=False`; nothing else uses this console
+    rich.get_console().quiet = True
     with _starting, _required_origin(origin) as guarded:
         server = viser.ViserServer(host, 0, verbose=False)
     if not guarded:
@@ -127,15 +115,13 @@ class ViserPage:
     def __init__(self, id: str) -> None:
         self.id = id
         self.origin = f"annotator://{secrets.token_hex(16)}"
-        with silence():
-            self._server = start_viser(HOST, self.origin)
+        self._server = start_viser(HOST, self.origin)
         self.port = self._server.get_port()
         self._server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
 
     def close(self) -> None:
         """Stops the server, which disconnects its browsers."""
-        with silence():
-            self._server.stop()
+        self._server.stop()
 
 
 async def forward_http(request: Request, viewport: ViserPage, path: str) -> Response:

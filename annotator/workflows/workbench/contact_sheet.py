@@ -56,16 +56,8 @@ AXES = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class OrthoView:
-    """A view and its name: top, front or side (the right one)."""
-
-    name: str
-    view: PseudoView
-
-
-def ortho_views(opened: OpenFrame, box: OrientedBox, size_px: int) -> list[OrthoView]:
-    """Returns the top, front and side view of a box.
+def ortho_views(opened: OpenFrame, box: OrientedBox, size_px: int) -> dict[str, PseudoView]:
+    """Returns the views of a box by name: top, front, and side (the right one).
 
     Args:
         size_px: side length of each (square) view, pixels.
@@ -81,7 +73,7 @@ def shown_volume(box: OrientedBox) -> OrientedBox:
 
 def views_of_points(
     points: PointCloud, near: Int64[np.ndarray, "k"], box: OrientedBox, size_px: int
-) -> list[OrthoView]:
+) -> dict[str, PseudoView]:
     """As `ortho_views`.
 
     Args:
@@ -94,7 +86,7 @@ def views_of_points(
         colors = colors.copy()
         colors[~is_inside] = dim.astype(np.uint8)
     local = (cloud.xyz_m - box.center_m.astype(np.float32)) @ box.rotation.astype(np.float32)
-    return [OrthoView(axis.name, _view(axis, box, cloud, local, colors, size_px)) for axis in AXES]
+    return {axis.name: _view(axis, box, cloud, local, colors, size_px) for axis in AXES}
 
 
 def _near(
@@ -149,19 +141,19 @@ def picture(frame: Frame, box: OrientedBox) -> UInt8[np.ndarray, "h w 3"]:
     near = np.flatnonzero(contains(shown_volume(box), frame.cloud.xyz_m))
     kept = thin(len(near), MOST_POINTS)
     views = views_of_points(frame.cloud, near if kept is None else near[kept], box, VIEW_PX)
-    for number, item in enumerate(views):
+    for number, (name, view) in enumerate(views.items()):
         left = number * (VIEW_PX + GAP_PX)
         part = strip[:, left : left + VIEW_PX]
-        part[:] = item.view.rgb
-        axes = item.view.axes[:2]
+        part[:] = view.rgb
+        axes = view.axes[:2]
         half_m = np.abs(axes @ box.rotation) @ box.size_m / 2
         ends_m = axes @ box.center_m + np.array([[-1.0], [1.0]]) * half_m
-        ends = np.rint((ends_m - item.view.origin_m) / item.view.metres_per_px).astype(int)
+        ends = np.rint((ends_m - view.origin_m) / view.metres_per_px).astype(int)
         (x0, y0), (x1, y1) = np.clip(ends, 0, VIEW_PX - 1).tolist()
         part[y0 : y1 + 1, [x0, x1]] = part[[y0, y1], x0 : x1 + 1] = LINE
-        if item.name == "top":
+        if name == "top":
             part[y0 : y0 + 2, x0 : x1 + 1] = FRONT
-        elif item.name == "side":
+        elif name == "side":
             part[y0 : y1 + 1, x1 - 1 : x1 + 1] = FRONT
     return strip
 

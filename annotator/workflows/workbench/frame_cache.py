@@ -12,16 +12,15 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Int64
+from jaxtyping import Int64
 
 from annotator.geometry.normals import normals_from_depth
 from annotator.geometry.oriented_box import contains
-from annotator.geometry.projection import in_frustum
 from annotator.image_bytes import encoded_image
 from annotator.project import Project, StoredFrame
 from annotator.project.overview import neighbours
 from annotator.recordings import Recording
-from annotator.types import Box2D, Detector, Frame, OrientedBox, PseudoView
+from annotator.types import Frame, OrientedBox, PseudoView
 from annotator.types.errors import AnnotatorError, FrameError
 from annotator.workflows.frame_source import FrameSource
 
@@ -106,10 +105,6 @@ class OpenFrame:
             count = self._counts[key] = int(np.count_nonzero(contains(box, self.frame.cloud.xyz_m)))
         return count
 
-    def frustum(self, box: Box2D) -> Bool[np.ndarray, "n"]:
-        """Returns the mask of the points inside the frustum of a box on the image."""
-        return self.once(("frustum", box.xyxy), lambda: in_frustum(self.frame.camera, self.frame.cloud.xyz_m, box))
-
     def views(self, key: Hashable, draw: Callable[[Frame], Views | None]) -> Views | None:
         """Returns the views of a step, drawn once per `key`, which must hold all that they depend on."""
         return self.once(("views", key), lambda: draw(self.with_normals))
@@ -118,10 +113,6 @@ class OpenFrame:
         """Returns the PNG file of a view from `views`; encoded once."""
         # the result holds the view, so that no other view gets its id
         return self.once(("picture", id(view)), lambda: (view, encoded_image(view.rgb)))[1]
-
-    def image_detections(self, detector: Detector) -> list[Box2D]:
-        """Returns a detector's boxes on the image; detected once."""
-        return self.once(("image", detector.fingerprint), lambda: detector.detect([self.frame])[0])
 
     def once(self, key: Hashable, compute: Callable[[], T]) -> T:
         """Returns a result that depends on nothing but the frame and `key`; the latest results are kept."""

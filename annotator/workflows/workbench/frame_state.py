@@ -1,4 +1,4 @@
-"""A frame as the page shows it: labels with outline, point count and doubt, and drawn objects; and a bag before it is
+"""A frame as the page shows it: labels with their outlines, and drawn objects; and a bag before it is
 added: its topics, and the cloud of its first frame over the image.
 """
 
@@ -13,8 +13,9 @@ from jaxtyping import Float64
 
 from annotator.geometry.outline import visible_edges
 from annotator.geometry.projection import inside_image, project
-from annotator.project import Project, StoredLabel, ViewBoxes
-from annotator.project.overview import FramePage, read_page
+from annotator.image_bytes import encoded_image
+from annotator.project import StoredLabel, ViewBoxes
+from annotator.project.overview import FramePage
 from annotator.recordings import ReaderOptions, open_recording
 from annotator.recordings.ros.topics import TopicReport
 from annotator.types import Box2D, Frame
@@ -22,22 +23,6 @@ from annotator.types.errors import InputError, MissingExtraError
 from annotator.workflows.inspect import bag_topics
 from annotator.workflows.views import ObjectViews, front_and_side, views_by_object
 from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.review_queue import doubt
-
-
-@dataclass(frozen=True, eq=False)
-class ShownLabel:
-    """A label as the page shows it.
-
-    Attributes:
-        outline: (k, 2, 2) its visible edges on the image, pixels.
-        doubt: in 0..1, for boxes from an automatic pass; else None.
-    """
-
-    stored: StoredLabel
-    outline: Float64[np.ndarray, "k 2 2"]
-    points: int
-    doubt: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,26 +39,14 @@ class ShownObject:
     uid: str | None
 
 
-@dataclass(frozen=True, eq=False)
-class ShownFrame:
-    """A frame's page with everything computed for it."""
+def seen_labels(page: FramePage, opened: OpenFrame) -> list[tuple[StoredLabel, Float64[np.ndarray, "k 2 2"]]]:
+    """Returns the labels of a frame, each with its visible edges on the image, pixels.
 
-    page: FramePage
-    labels: tuple[ShownLabel, ...]
-    objects: tuple[ShownObject, ...]
-
-
-def show_frame(project: Project, frame_id: int, opened: OpenFrame) -> ShownFrame:
-    """Returns the present state of a frame."""
-    page = read_page(project, frame_id)
+    Of the other cameras of the moment, those that the image shows.
+    """
     outlines = visible_edges(opened.frame.camera, [stored.label.box for stored in page.labels])
-    labels = tuple(
-        ShownLabel(stored, outline, opened.points_in(stored.label.box), doubt(stored.quality, stored.label.score))
-        for stored, outline in zip(page.labels, outlines, strict=True)
-        # of the other cameras of the moment, those that the image shows
-        if stored.is_own or len(outline)
-    )
-    return ShownFrame(page, labels, shown_objects(page))
+    each = zip(page.labels, outlines, strict=True)
+    return [(stored, outline) for stored, outline in each if stored.is_own or len(outline)]
 
 
 def shown_objects(page: FramePage) -> tuple[ShownObject, ...]:
@@ -142,7 +115,7 @@ def _drawn(frame: Frame) -> bytes:
 
     scale = min(WIDTH_PX / frame.camera.width_px, 1.0)
     size = (max(round(frame.camera.width_px * scale), 1), max(round(frame.camera.height_px * scale), 1))
-    picture = cv2.cvtColor(cv2.resize(frame.rgb, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2BGR)
+    picture = cv2.resize(frame.rgb, size, interpolation=cv2.INTER_AREA)
     xyz_m = frame.cloud.xyz_m[frame.cloud.xyz_m[:, 2] > NEAREST_M]
     px = project(frame.camera, xyz_m)
     seen = np.flatnonzero(inside_image(frame.camera, px))
@@ -150,6 +123,6 @@ def _drawn(frame: Frame) -> bytes:
     seen = seen[np.argsort(-xyz_m[seen, 2], kind="stable")]
     column, row = np.floor((px[seen] + 0.5) * scale).astype(np.int64).T
     near = np.linspace(0, 255, len(seen)).astype(np.uint8)
-    colors = cv2.applyColorMap(near[:, None], cv2.COLORMAP_JET)[:, 0]
+    colors = cv2.applyColorMap(near[:, None], cv2.COLORMAP_JET)[:, 0, ::-1]
     picture[np.clip(row, 0, size[1] - 1), np.clip(column, 0, size[0] - 1)] = colors
-    return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
+    return encoded_image(picture, "jpg", JPEG_QUALITY)

@@ -368,7 +368,7 @@ def test_the_view_draws_a_cloud_forwards_keys_selects_and_outlives_its_server(
     # the cloud has its colours
     mean = picture(view).reshape(-1, 3)
     mean = mean[np.abs(mean - mean[0]).max(axis=1) > 24].mean(axis=0)
-    cloud = live.context.frame(room, 1).cloud
+    cloud = live.context.caches.frames.read(room, 1).cloud
     np.testing.assert_allclose(mean, cloud.rgb.mean(axis=0), atol=30)
     frame = view.frame_locator("[data-testid=viewport-frame]")
     assert frame.locator(".mantine-Paper-root:visible, .mantine-Notifications-root:visible").count() == 0

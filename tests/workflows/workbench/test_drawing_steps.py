@@ -15,6 +15,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import same_box
 from annotator.project import Origin, Project, WriteContext
 from annotator.project.audit.events import Effort
+from annotator.project.overview import read_page
 from annotator.project.progress.reviewed import draft_id
 from annotator.rcv.known_objects import Span
 from annotator.rcv.teach import TaughtObject
@@ -33,7 +34,7 @@ from annotator.workflows.workbench.drawing_steps import (
     label_steps,
 )
 from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.frame_state import show_frame
+from annotator.workflows.workbench.frame_state import shown_objects
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 from annotator.workflows.workbench.refit import FoundBox
 from annotator.workflows.workbench.save_object import ObjectDrawn, save_object
@@ -270,7 +271,7 @@ def test_an_object_keeps_its_label_when_its_image_box_moves(desk: Desk) -> None:
     x_min, y_min, x_max, y_max = image_box.xyxy
     moved = Box2D("person", x_min - 30, y_min - 2, x_max + 30, y_max + 2)
     assert desk.save([moved], desk.object(moved, [], uid)) == uid
-    (shown,) = show_frame(desk.project, desk.frame_id, desk.opened).objects
+    (shown,) = shown_objects(read_page(desk.project, desk.frame_id))
     assert (shown.image_box, shown.uid) == (moved, uid), "it is the same object, also after a reload"
     assert desk.project.boxes.on_views_of(desk.frame_id) == (), "views of the old frustum are removed"
     boxes: list[Box2D] = []

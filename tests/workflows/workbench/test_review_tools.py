@@ -80,7 +80,7 @@ def test_a_view_shows_the_side_that_it_is_named_after(name: str) -> None:
             rgb.append(np.tile(colors[axis, end], (len(grid), 1)))
     cloud = PointCloud((np.concatenate(xyz) @ rotation.T + box.center_m).astype(np.float32), np.concatenate(rgb))
     larger = OrientedBox(box.pose, box.size_m * 1.001)
-    (view,) = [item.view for item in views_of_points(cloud, np.arange(len(cloud)), larger, 200) if item.name == name]
+    view = views_of_points(cloud, np.arange(len(cloud)), larger, 200)[name]
     right, above, nearest = SEEN[name]
     np.testing.assert_allclose(view.axes[0], right[1] * rotation[:, right[0]], atol=1e-12)
     np.testing.assert_allclose(view.axes[1], -above[1] * rotation[:, above[0]], atol=1e-12)

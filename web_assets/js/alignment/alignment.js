@@ -154,10 +154,10 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   }
 
   async function firstFrame(/** @type {string} */ recording = "") {
-    const of = recording === "" ? "" : `&recording=${recording}`;
-    /** @type {Api.FrameListJson} */
-    const { frames } = await app.api.get(`${app.path("frames")}?limit=1${of}`);
-    return frames[0]?.id ?? null;
+    const of = recording === "" ? "" : `?recording=${recording}`;
+    /** @type {number[]} */
+    const frames = await app.api.get(`${app.path("frames")}${of}`);
+    return frames[0] ?? null;
   }
 
   async function openRecording() {

@@ -42,7 +42,7 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
   const schema = () => /** @type {Attribute[]} */ (/** @type {unknown} */ (listed.attributes));
 
   async function change(/** @type {Parameters<ChangeClasses>[0]} */ body) {
-    await app.api.post(path, { change: body });
+    await app.api.post(path, body);
     problem.hidden = true;
     await refresh();
     if (app.state.route.project === project) await app.refreshProject();

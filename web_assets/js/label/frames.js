@@ -234,9 +234,9 @@ export function createOrder(/** @type {App} */ app) {
   }
 
   async function firstFrame() {
-    /** @type {Api.FrameListJson} */
-    const { frames } = await app.api.get(`${app.path("frames")}?limit=1`);
-    return frames[0]?.id ?? null;
+    /** @type {number[]} */
+    const frames = await app.api.get(app.path("frames"));
+    return frames[0] ?? null;
   }
 
   return {

@@ -52,10 +52,10 @@ export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
   async function load() {
     const before = run;
     try {
-      /** @type {Api.FollowOut} */
+      /** @type {Api.FollowRunJson | null} */
       const answer = await app.api.get(app.path("follow"));
-      if (answer.run) {
-        take(answer.run);
+      if (answer) {
+        take(answer);
       } else if (run === before) {
         // the server was restarted; it remembers no run
         run = null;

@@ -125,9 +125,9 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
     if (frame !== null)
       return open(frame, query.get("uid") ?? queue.items.find((item) => item.frame === frame)?.uid ?? null);
     if (queue.items[0]) return go(queue.items[0], true);
-    /** @type {Api.FrameListJson} */
-    const { frames } = await app.api.get(`${app.path("frames")}?limit=1`);
-    return go({ frame: frames[0].id, uid: null });
+    /** @type {number[]} */
+    const [first] = await app.api.get(app.path("frames"));
+    return go({ frame: first, uid: null });
   }
 
   return {

@@ -236,7 +236,7 @@ export async function manageRecordings(/** @type {App} */ app, /** @type {string
     const states = [...(isGone ? [`removed by ${removed_by}`] : []), ...(missing ? ["its folder was not found"] : [])];
     return h(
       "li",
-      { class: "row", "data-testid": `recording-${name}` },
+      { class: "row", "data-testid": `recording-${name}`, "data-key": id },
       h("span", { class: `grow ellipsis${isGone ? " muted" : ""}`, title: name }, name),
       h("span", { class: "muted number" }, numbers),
       h("span", { class: missing ? "bad" : "muted" }, states.join("; ")),
@@ -285,13 +285,11 @@ export function createFolders(app, options) {
 
   async function show(/** @type {string} */ path) {
     try {
-      /** @type {Api.FolderListing} */
-      const listing = await app.api.get(`/api/folders?path=${encodeURIComponent(path)}`);
-      crumbs.replaceChildren(...makeCrumbs(listing.path, show));
+      /** @type {Api.FolderEntry[]} */
+      const entries = await app.api.get(`/api/folders?path=${encodeURIComponent(path)}`);
+      crumbs.replaceChildren(...makeCrumbs(path, show));
       list.replaceChildren(
-        ...(listing.entries.length
-          ? listing.entries.map((entry) => makeEntry(entry, show, options))
-          : [nothing(listing.path)]),
+        ...(entries.length ? entries.map((entry) => makeEntry(entry, show, options)) : [nothing(path)]),
       );
       list.focus();
     } catch (error) {

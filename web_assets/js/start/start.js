@@ -78,8 +78,8 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
 
   async function refresh() {
     try {
-      /** @type {Api.ProjectList} */
-      const { projects } = await app.api.get("/api/projects");
+      /** @type {Api.ProjectSummary[]} */
+      const projects = await app.api.get("/api/projects");
       const menu = list.querySelector(":popover-open");
       const text = JSON.stringify(projects);
       // new cards would take an open menu away, and a click whose button is down
