@@ -26,11 +26,8 @@ def read_mat(path: Path, name: str, most_bytes: int) -> object:
     The elements of a struct are dictionaries. None stands for other types, such as functions, and for strings of
     several lines.
 
-    Args:
-        most_bytes: size limit of the file, and of the variable in memory.
-
     Raises:
-        ValueError: too large in memory, damaged, of another version, or no such variable.
+        ValueError: damaged, of another version, no such variable, or one of more than `most_bytes` in memory.
         OSError: the file cannot be read, or is larger.
     """
     return fenced(f"{__name__}:load_mat", read_file(path, most_bytes), name, most_bytes)
@@ -85,9 +82,7 @@ def read_feather(path: Path, columns: Mapping[str, Kind]) -> dict[str, np.ndarra
     """Returns columns of equal length: float64, int64, or objects (texts).
 
     Raises:
-        MissingExtraError: pyarrow is not installed.
         FenceError: a damaged file, or a column that is missing, of another kind, empty in a row, or not finite.
-        OSError: the file cannot be read.
     """
     if find_spec("pyarrow") is None:
         raise MissingExtraError("pyarrow", "argoverse")

@@ -42,11 +42,6 @@ def open_mirror(url: str, folder: Path, limit_bytes: int, options: ReaderOptions
         folder: parent folder of the local copies. A copy is removed with its recording; copies of killed processes are
             removed when the next one is made.
         limit_bytes: maximum size of the local copy at any time.
-        options: how the recording is read.
-
-    Raises:
-        RecordingError: the storage cannot be reached, has no files there, or a single-file recording does not fit.
-        UnknownFormatError: no reader recognises the recording.
     """
     with _storage_errors(url):
         from fsspec.core import url_to_fs
@@ -84,11 +79,7 @@ def open_mirror(url: str, folder: Path, limit_bytes: int, options: ReaderOptions
 class Mirror(Recording):
     """A `Recording` in remote storage; its files are downloaded when frames are read. `path` is the local copy.
 
-    Attributes:
-        opened: the recording of the copy.
-        removed: removes the copy, also when it is garbage.
-        of_key: the files of each frame, relative to the copy's folder.
-        shared: those of all frames.
+    `removed` removes the copy, also when it is garbage; `of_key` has the files of each frame, relative to its folder.
     """
 
     opened: Recording
@@ -118,7 +109,6 @@ class Mirror(Recording):
         return self.opened.notes
 
     def frame(self, i: int) -> Frame:
-        """Reads frame number `i`, 0-based."""
         key = self.key(i)
         for path in self.shared:
             self.store.keep(path)
@@ -136,14 +126,10 @@ class _Store:
     """The files of a local copy, downloaded or empty.
 
     Attributes:
-        url: the recording's URL.
-        system: fsspec's file system.
-        folder: the copy's folder.
         files: path relative to the folder -> path in the storage, and size in bytes.
-        limit_bytes: maximum of `used_bytes`.
+        limit_bytes, used_bytes: of what is downloaded.
         kept: files that stay downloaded.
         filled: downloaded files by frame key, least recently used first.
-        used_bytes: bytes downloaded.
     """
 
     url: str
@@ -156,13 +142,11 @@ class _Store:
     used_bytes: int = 0
 
     def empty(self, path: str) -> None:
-        """Makes a file empty."""
         place = self.folder / path
         place.parent.mkdir(parents=True, exist_ok=True)
         place.write_bytes(b"")
 
     def keep(self, path: str) -> None:
-        """Downloads a file permanently."""
         if path not in self.kept:
             self._copy([path])
             self.kept.add(path)

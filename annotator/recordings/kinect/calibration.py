@@ -110,7 +110,6 @@ class KinectCalibration:
     """Both cameras of an Azure Kinect, in the modes of one recording.
 
     Attributes:
-        depth, color: the cameras.
         T_color_depth: from the depth camera's frame to the colour camera's, metres.
         depth_reach: calibrated radius of the depth lens, as distance of (x/z, y/z) from the axis; infinite if unknown.
         color_from_accelerometer: rotation from the accelerometer's axes to the colour camera's; None if unknown.
@@ -183,11 +182,7 @@ def parse_samples(data: bytes, is_laced: bool) -> Float64[np.ndarray, "n 4"]:
 def up_at_rest(samples: Float64[np.ndarray, "n 4"], time_ns: int) -> Float64[np.ndarray, "3"] | None:
     """Returns the unit vector against gravity in the sensor's axes; None if the device moves or no sample is near.
 
-    At rest, the sensor measures only the force that supports the device.
-
-    Args:
-        samples: time, ns, and acceleration, m/s^2.
-        time_ns: time on the same clock.
+    At rest, the sensor measures only the force that supports the device. Samples are time, ns, and acceleration, m/s^2.
     """
     away = np.abs(samples[:, 0] - time_ns)
     nearest = np.argsort(away, kind="stable")[:MOST_SAMPLES]
