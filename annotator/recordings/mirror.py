@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import weakref
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -57,11 +57,11 @@ def open_mirror(url: str, folder: Path, limit_bytes: int, options: ReaderOptions
     with ExitStack() as stack:
         place = stack.enter_context(unfinished_folder(folder, "recording"))
         store = _Store(url, system, place if is_file else place / name, files, limit_bytes)
+        store.empty(files)
         for path, (_, size) in files.items():
-            store.empty(path)
-            is_small = "/" not in path and path.lower().endswith(DESCRIPTIONS) and size <= LARGEST_DESCRIPTION_BYTES
-            if is_file or is_small or ("/" not in path and path.lower().endswith(WHOLE)):
-                store.keep(path)
+            is_small = path.lower().endswith(DESCRIPTIONS) and size <= LARGEST_DESCRIPTION_BYTES
+            if is_file or ("/" not in path and (is_small or path.lower().endswith(WHOLE))):
+                store.fetch([path])
         with store.url_in_errors():
             opened = open_recording(place / name, options)
         keys = {normal(key): key for key in opened.keys}
@@ -110,9 +110,8 @@ class Mirror(Recording):
 
     def frame(self, i: int) -> Frame:
         key = self.key(i)
-        for path in self.shared:
-            self.store.keep(path)
-        self.store.fill(key, self.of_key.get(key, []))
+        self.store.fetch(self.shared)
+        self.store.fetch(self.of_key.get(key, []), key)
         with self.store.url_in_errors():
             return self.opened.frame(i)
 
@@ -128,8 +127,8 @@ class _Store:
     Attributes:
         files: path relative to the folder -> path in the storage, and size in bytes.
         limit_bytes, used_bytes: of what is downloaded.
-        kept: files that stay downloaded.
-        filled: downloaded files by frame key, least recently used first.
+        present: downloaded files.
+        filled: those that may be emptied, by frame key, least recently used first.
     """
 
     url: str
@@ -137,27 +136,49 @@ class _Store:
     folder: Path
     files: dict[str, tuple[str, int]]
     limit_bytes: int
-    kept: set[str] = field(default_factory=set)
-    filled: OrderedDict[str, list[str]] = field(default_factory=OrderedDict)
     used_bytes: int = 0
+    present: set[str] = field(default_factory=set)
+    filled: OrderedDict[str, list[str]] = field(default_factory=OrderedDict)
 
-    def empty(self, path: str) -> None:
-        place = self.folder / path
-        place.parent.mkdir(parents=True, exist_ok=True)
-        place.write_bytes(b"")
+    def empty(self, paths: Iterable[str]) -> None:
+        for path in paths:
+            place = self.folder / path
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.write_bytes(b"")
 
-    def keep(self, path: str) -> None:
-        if path not in self.kept:
-            self._copy([path])
-            self.kept.add(path)
-
-    def fill(self, key: str, paths: list[str]) -> None:
-        """Downloads the files of a frame; empties those of the least recently used frames if there is no room."""
-        if key not in self.filled:
-            missing = [path for path in paths if path not in self.kept]
-            self._copy(missing)
+    def fetch(self, paths: Iterable[str], key: str | None = None) -> None:
+        """Downloads files: those of a frame until others need the room, without a key for good."""
+        missing = [path for path in paths if path not in self.present]
+        if key is not None and key in self.filled:
+            self.filled.move_to_end(key)
+        if not missing:
+            return
+        needed = sum(self.files[path][1] for path in missing)
+        while self.filled and self.used_bytes + needed > self.limit_bytes:
+            oldest = self.filled.popitem(last=False)[1]
+            self.used_bytes -= sum(self.files[path][1] for path in oldest)
+            self.present.difference_update(oldest)
+            self.empty(oldest)
+        if self.used_bytes + needed > self.limit_bytes:
+            raise RecordingError(
+                f"{self.url}: no room in the local copy for {', '.join(missing[:3])} ({needed / 1e6:.1f} MB; limit "
+                f"{self.limit_bytes / 1e6:.1f} MB, used {self.used_bytes / 1e6:.1f} MB); raise --cache-mb"
+            )
+        try:
+            for path in missing:
+                with _storage_errors(f"{self.url}/{path}"):
+                    self.system.get_file(self.files[path][0], str(self.folder / path))
+        except BaseException:  # files that belong to no entry of `filled` would never be emptied
+            self.empty(missing)
+            raise
+        for path in missing:
+            # some web servers do not report it in listings
+            size = (self.folder / path).stat().st_size
+            self.files[path] = (self.files[path][0], size)
+            self.used_bytes += size
+        self.present.update(missing)
+        if key is not None:
             self.filled[key] = missing
-        self.filled.move_to_end(key)
 
     @contextmanager
     def url_in_errors(self) -> Iterator[None]:
@@ -167,31 +188,6 @@ class _Store:
         except RecordingError as error:
             error.args = (str(error).replace(str(self.folder), self.url),)
             raise
-
-    def _copy(self, paths: list[str]) -> None:
-        needed = sum(self.files[path][1] for path in paths)
-        while self.filled and self.used_bytes + needed > self.limit_bytes:
-            for path in self.filled.popitem(last=False)[1]:
-                self.used_bytes -= self.files[path][1]
-                self.empty(path)
-        if self.used_bytes + needed > self.limit_bytes:
-            raise RecordingError(
-                f"{self.url}: no room in the local copy for {', '.join(paths[:3])} ({needed / 1e6:.1f} MB; limit "
-                f"{self.limit_bytes / 1e6:.1f} MB, used {self.used_bytes / 1e6:.1f} MB); raise --cache-mb"
-            )
-        try:
-            for path in paths:
-                with _storage_errors(f"{self.url}/{path}"):
-                    self.system.get_file(self.files[path][0], str(self.folder / path))
-        except BaseException:  # files that belong to no entry of `filled` would never be emptied
-            for path in paths:
-                self.empty(path)
-            raise
-        for path in paths:
-            # some web servers do not report it in listings
-            size = (self.folder / path).stat().st_size
-            self.files[path] = (self.files[path][0], size)
-            self.used_bytes += size
 
 
 @contextmanager
