@@ -7,7 +7,7 @@ here) decompresses a file of some kilobytes to any size.
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
@@ -54,22 +54,17 @@ def load_mat(data: bytes, name: str, most_bytes: int) -> object:
         # a file of some kilobytes unpacks to gigabytes
         if taken > most_bytes:
             raise FenceError(f"its {name} is larger than {most_bytes // 2**20} MiB in memory")
-        return _plain(value, plain)
+        if not isinstance(value, np.ndarray):
+            return None
+        if value.dtype.names is not None:
+            return [{field: plain(row[field]) for field in value.dtype.names} for row in value.ravel(order="F")]
+        if value.dtype.kind == "O":
+            return [plain(each) for each in value.ravel(order="F")]
+        if value.dtype.kind == "U":
+            return "".join(value.ravel()) if value.size < 2 else None
+        return value if value.dtype.kind in "biufc" else None
 
     return plain(found[name])
-
-
-def _plain(value: Any, plain: Callable[[Any], object]) -> object:
-    """Returns a variable; `plain` returns its elements."""
-    if not isinstance(value, np.ndarray):
-        return None
-    if value.dtype.names is not None:
-        return [{field: plain(row[field]) for field in value.dtype.names} for row in value.ravel(order="F")]
-    if value.dtype.kind == "O":
-        return [plain(each) for each in value.ravel(order="F")]
-    if value.dtype.kind == "U":
-        return "".join(value.ravel()) if value.size < 2 else None
-    return value if value.dtype.kind in "biufc" else None
 
 
 Kind = Literal["float", "int", "text"]

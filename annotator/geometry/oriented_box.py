@@ -47,29 +47,17 @@ def box_corners(box: OrientedBox) -> Float64[np.ndarray, "8 3"]:
     return corners(box.center_m, box.rotation, box.size_m)
 
 
-def contains_parts(
-    center: Float[np.ndarray, "3"],
-    rotation: Float[np.ndarray, "3 3"],
-    size: Float[np.ndarray, "3"],
-    xyz: Float[np.ndarray, "n 3"],
-) -> Bool[np.ndarray, "n"]:
-    """Which points lie in a box or on its surface; NaN points are outside.
+def contains(box: OrientedBox, xyz_m: Float[np.ndarray, "n 3"], margin_m: float = 0.0) -> Bool[np.ndarray, "n"]:
+    """Which points (camera frame) lie in a box with all faces moved outwards by `margin_m` metres, or on its surface.
 
-    The computation uses the precision of `xyz`, after subtracting the centre.
+    NaN points are outside. A negative margin shrinks the box; one that is shrunk to nothing contains no points. The
+    computation uses the precision of the points, after subtracting the centre.
     """
     from annotator.geometry.kernels import points_in_box
 
-    dtype = xyz.dtype
-    half = (0.5 * size).astype(dtype)
-    return points_in_box(np.ascontiguousarray(xyz), center.astype(dtype), rotation.astype(dtype, "C"), half)
-
-
-def contains(box: OrientedBox, xyz_m: Float[np.ndarray, "n 3"], margin_m: float = 0.0) -> Bool[np.ndarray, "n"]:
-    """Which points (camera frame) lie in a box with all faces moved outwards by `margin_m` metres.
-
-    A negative margin shrinks the box; a box that is shrunk to nothing contains no points.
-    """
-    return contains_parts(box.center_m, box.rotation, box.size_m + 2.0 * margin_m, xyz_m)
+    dtype, half_m = xyz_m.dtype, 0.5 * (box.size_m + 2.0 * margin_m)
+    center_m, rotation = box.center_m.astype(dtype), box.rotation.astype(dtype, "C")
+    return points_in_box(np.ascontiguousarray(xyz_m), center_m, rotation, half_m.astype(dtype))
 
 
 def aligned_box(xyz_m: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "3 3"]) -> OrientedBox:

@@ -68,7 +68,6 @@ class SunCalibration:
         T_camera_upright: from upright depth to the camera.
     """
 
-    path: Path
     matrix: Float64[np.ndarray, "3 3"]
     T_camera_upright: RigidTransform
 
@@ -105,7 +104,7 @@ def _calibration(path: Path, K: np.ndarray, R: np.ndarray, of_tilt: Path | None 
         raise FrameError(of_tilt or path, "the tilt is not a rotation", REMEDY)
     if not is_pinhole(K):
         raise FrameError(path, "K is not a pinhole camera (fx 0 cx / 0 fy cy / 0 0 1)", REMEDY)
-    return SunCalibration(path, K, RigidTransform.from_rotation(Rotation.from_matrix(R.T)))
+    return SunCalibration(K, RigidTransform.from_rotation(Rotation.from_matrix(R.T)))
 
 
 # A cloud is organised if its points project to pixel centres within this distance.
