@@ -58,7 +58,7 @@ def normals_from_depth(camera: Camera, depth_m: Float[np.ndarray, "h w"]) -> Flo
 
 
 def normals_knn(xyz_m: Float[np.ndarray, "n 3"], k: int = 16) -> Float32[np.ndarray, "n 3"]:
-    """Normals of unordered points: the direction of least spread of each point's `k` nearest neighbours and itself.
+    """Normals of unordered points: the direction of least spread of the `k` points nearest to each, itself included.
 
     Returns:
         unit normals, towards the sensor at the origin; zero if the neighbours lie on a line or at one point, and for
