@@ -47,9 +47,7 @@ class _Fence:
         atexit.register(self._end)
 
     def __call__(self, function: str, *values: Any) -> Any:
-        """Calls a function of a module (`annotator.module:function`) in the process.
-
-        Values and result are pickled.
+        """Calls a function of a module (`annotator.module:function`) in the process; values and result are pickled.
 
         Raises:
             ValueError: raised by the function, or a FenceError.
@@ -126,7 +124,6 @@ def _started() -> subprocess.Popen[bytes]:
 
 
 def serve() -> None:
-    """Answers what comes in, until there is no more."""
     if sys.platform != "win32":
         import resource
 

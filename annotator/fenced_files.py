@@ -7,7 +7,7 @@ here) decompresses a file of some kilobytes to any size.
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
@@ -26,11 +26,8 @@ def read_mat(path: Path, name: str, most_bytes: int) -> object:
     The elements of a struct are dictionaries. None stands for other types, such as functions, and for strings of
     several lines.
 
-    Args:
-        most_bytes: size limit of the file, and of the variable in memory.
-
     Raises:
-        ValueError: too large in memory, damaged, of another version, or no such variable.
+        ValueError: damaged, of another version, no such variable, or one of more than `most_bytes` in memory.
         OSError: the file cannot be read, or is larger.
     """
     return fenced(f"{__name__}:load_mat", read_file(path, most_bytes), name, most_bytes)
@@ -57,22 +54,17 @@ def load_mat(data: bytes, name: str, most_bytes: int) -> object:
         # a file of some kilobytes unpacks to gigabytes
         if taken > most_bytes:
             raise FenceError(f"its {name} is larger than {most_bytes // 2**20} MiB in memory")
-        return _plain(value, plain)
+        if not isinstance(value, np.ndarray):
+            return None
+        if value.dtype.names is not None:
+            return [{field: plain(row[field]) for field in value.dtype.names} for row in value.ravel(order="F")]
+        if value.dtype.kind == "O":
+            return [plain(each) for each in value.ravel(order="F")]
+        if value.dtype.kind == "U":
+            return "".join(value.ravel()) if value.size < 2 else None
+        return value if value.dtype.kind in "biufc" else None
 
     return plain(found[name])
-
-
-def _plain(value: Any, plain: Callable[[Any], object]) -> object:
-    """Returns a variable; `plain` returns its elements."""
-    if not isinstance(value, np.ndarray):
-        return None
-    if value.dtype.names is not None:
-        return [{field: plain(row[field]) for field in value.dtype.names} for row in value.ravel(order="F")]
-    if value.dtype.kind == "O":
-        return [plain(each) for each in value.ravel(order="F")]
-    if value.dtype.kind == "U":
-        return "".join(value.ravel()) if value.size < 2 else None
-    return value if value.dtype.kind in "biufc" else None
 
 
 Kind = Literal["float", "int", "text"]
@@ -85,9 +77,7 @@ def read_feather(path: Path, columns: Mapping[str, Kind]) -> dict[str, np.ndarra
     """Returns columns of equal length: float64, int64, or objects (texts).
 
     Raises:
-        MissingExtraError: pyarrow is not installed.
         FenceError: a damaged file, or a column that is missing, of another kind, empty in a row, or not finite.
-        OSError: the file cannot be read.
     """
     if find_spec("pyarrow") is None:
         raise MissingExtraError("pyarrow", "argoverse")

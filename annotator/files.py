@@ -1,8 +1,9 @@
 """The one door to files: bounded reading of regular files, and atomic writing.
 
 Reading never hangs or fills the memory: pipes, sockets and devices (also behind links) and files that are too large are
-refused. All modules read through `read_file`, `read_text_file` and `open_file`; before a library opens a path by
-itself, `check_file` does. Writing: a reader sees either the old or the new content, never a part of it.
+refused, with the OSError of `open_file`. All modules read through `read_file`, `read_text_file` and `open_file`; before
+a library opens a path by itself, `check_file` does. Writing: a reader sees either the old or the new content, never a
+part of it.
 """
 
 from __future__ import annotations
@@ -79,11 +80,7 @@ def why_missing(path: Path) -> str | None:
 def link_out(folder: Path, unvisited: str = "") -> Path | None:
     """The first link below a folder that leads out of it, also a broken one; None if there is none.
 
-    Args:
-        unvisited: name of a subfolder that is not searched.
-
-    Raises:
-        OSError: a subfolder cannot be read.
+    A subfolder of the name `unvisited` is not searched.
     """
     left = [str(folder)]
     while left:
@@ -102,11 +99,7 @@ def link_out(folder: Path, unvisited: str = "") -> Path | None:
 def write_atomic(path: Path, content: bytes, *, private: bool = False) -> None:
     """Replaces or creates `path` atomically, even if the process is killed or the power fails.
 
-    Args:
-        private: only its owner may read it; otherwise the umask decides.
-
-    Raises:
-        OSError: the folder is missing or not writable, or the disk is full; `path` is unchanged.
+    If an OSError is raised, `path` is unchanged. `private`: only its owner may read it; otherwise the umask decides.
     """
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
     try:
@@ -126,12 +119,8 @@ def write_atomic(path: Path, content: bytes, *, private: bool = False) -> None:
 def open_file(path: Path, most_bytes: int | None = None, *, buffering: int = -1) -> BinaryIO:
     """Opens a regular file for reading, without waiting for the other end of a pipe.
 
-    Args:
-        most_bytes: refuse larger files; None for files that are read in parts, such as videos and bags.
-        buffering: as for `open`.
-
     Raises:
-        OSError: it cannot be opened, is not a regular file (EINVAL) or is too large (EFBIG).
+        OSError: it cannot be opened, is not a regular file (EINVAL) or is larger than `most_bytes` (EFBIG).
     """
     # the descriptor is examined, since the path may lead to another file a moment later
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
@@ -151,11 +140,7 @@ def open_file(path: Path, most_bytes: int | None = None, *, buffering: int = -1)
 
 
 def open_text_file(path: Path, most_bytes: int, newline: str | None = None) -> io.TextIOWrapper:
-    """Opens a regular file for reading text, as `decoded` has it.
-
-    Raises:
-        OSError: as `open_file`.
-    """
+    """Opens a regular file for reading text, as `decoded` has it."""
     file = open_file(path, most_bytes)
     head = file.read(MARK_BYTES)
     file.seek(0)
@@ -163,11 +148,6 @@ def open_text_file(path: Path, most_bytes: int, newline: str | None = None) -> i
 
 
 def read_file(path: Path, most_bytes: int = DOCUMENT_BYTES) -> bytes:
-    """Returns the content of a regular file.
-
-    Raises:
-        OSError: as `open_file`.
-    """
     parts, size = [], 0
     with open_file(path, most_bytes) as stream:
         # in chunks, since read(n) allocates n bytes in advance; the file may grow meanwhile
@@ -180,11 +160,7 @@ def read_file(path: Path, most_bytes: int = DOCUMENT_BYTES) -> bytes:
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 of a regular file of any size, in hexadecimal digits.
-
-    Raises:
-        OSError: as `open_file`.
-    """
+    """SHA-256 of a regular file of any size, in hexadecimal digits."""
     digest = hashlib.sha256()
     with open_file(path) as file:
         while part := file.read(CHUNK_BYTES):
@@ -193,34 +169,21 @@ def sha256_of(path: Path) -> str:
 
 
 def read_text_file(path: Path, most_bytes: int = DOCUMENT_BYTES, errors: str = "strict") -> str:
-    """Returns the content of a text file, as `decoded` has it; lines end with `\n`.
-
-    Raises:
-        OSError: as `open_file`.
-        UnicodeDecodeError: it has another encoding.
-    """
+    """Returns the content of a text file, as `decoded` has it; lines end with a line feed."""
     return io.IncrementalNewlineDecoder(None, translate=True).decode(
         decoded(read_file(path, most_bytes), errors), final=True
     )
 
 
 def end_of_file(path: Path, most_bytes: int) -> str:
-    """Returns the end of a text file, such as a log.
-
-    Raises:
-        OSError: as `open_file`.
-    """
+    """Returns the end of a text file, such as a log."""
     with open_file(path) as stream:
         stream.seek(max(stream.seek(0, os.SEEK_END) - most_bytes, 0))
         return stream.read(most_bytes).decode("utf-8", "replace")
 
 
 def check_file(path: Path, most_bytes: int | None = None) -> None:
-    """Checks a file that a library will open by its path.
-
-    Raises:
-        OSError: as `open_file`.
-    """
+    """Checks a file that a library will open by its path."""
     open_file(path, most_bytes).close()
 
 
@@ -258,21 +221,13 @@ def sync_folder(folder: Path) -> None:
 
 
 def make_private(path: Path) -> None:
-    """Makes a file, created empty if it is missing, one that only its owner may read and write.
-
-    Raises:
-        OSError: it cannot be created, or belongs to somebody else.
-    """
+    """Makes a file, created empty if it is missing, one that only its owner may read and write."""
     os.close(os.open(path, os.O_WRONLY | os.O_CREAT | getattr(os, "O_NONBLOCK", 0), 0o600))
     path.chmod(0o600)
 
 
 def private_folder(path: Path) -> None:
-    """Makes a folder, created if it is missing, one that only its owner may enter.
-
-    Raises:
-        OSError: it cannot be created.
-    """
+    """Makes a folder, created if it is missing, one that only its owner may enter."""
     path.mkdir(mode=0o700, parents=True, exist_ok=True)
     # somebody else's folder stays as they made it
     with suppress(PermissionError):
@@ -283,12 +238,8 @@ def private_folder(path: Path) -> None:
 def new_folder(out: Path, may_replace: Callable[[Path], bool]) -> Iterator[Path]:
     """Yields a temporary sibling of `out` to fill; it becomes `out` if the block succeeds, else it is removed.
 
-    Args:
-        out: the folder to create; missing, empty, or one that `may_replace` allows to replace. The old folder stays
-            until the new one is complete.
-        may_replace: decides on a folder that is not empty.
-
-    What a killed process left in this place is put right first.
+    A folder that is not empty is replaced if `may_replace` allows it; it stays until the new one is complete. What a
+    killed process left in this place is put right first.
 
     Raises:
         FormatError: `out` may not be replaced, or the folder cannot be created.

@@ -20,11 +20,7 @@ POINT_BYTES, PIXEL_BYTES = 128, 32
 
 
 def frame_memory() -> int:
-    """Returns the limit in bytes.
-
-    Raises:
-        ConfigError: the variable is not a number of MiB.
-    """
+    """Returns the limit in bytes; a ConfigError says that the variable is not a number of MiB."""
     text = os.environ.get(VARIABLE) or str(DEFAULT_MIB)
     if not (text.isascii() and text.isdecimal() and 0 < int(text[:10]) < 2**30):
         raise ConfigError(f"{VARIABLE}={text[:40]!r}: must be a number of MiB, such as {2 * DEFAULT_MIB}")
@@ -32,18 +28,11 @@ def frame_memory() -> int:
 
 
 def most_pixels() -> int:
-    """Returns the size of the largest image that may be decoded."""
     return frame_memory() // PIXEL_BYTES
 
 
 def memory_problem(*, points: int = 0, pixels: int = 0, more_bytes: int = 0) -> str:
-    """Returns why a frame is too large, and how to read it all the same; "" if it is not.
-
-    Args:
-        points: of its cloud.
-        pixels: of its image.
-        more_bytes: further memory that decoding needs.
-    """
+    """Returns why a frame of so many points and pixels is too large, and how to read it; "" if it is not."""
     need, limit = points * POINT_BYTES + pixels * PIXEL_BYTES + more_bytes, frame_memory()
     if need <= limit:
         return ""
@@ -56,24 +45,14 @@ def memory_problem(*, points: int = 0, pixels: int = 0, more_bytes: int = 0) -> 
 
 
 def require_memory(*, points: int = 0, pixels: int = 0, more_bytes: int = 0) -> None:
-    """
-    Raises:
-        ValueError: a frame is too large (`memory_problem`).
-    """
+    """Raises ValueError if a frame is too large (`memory_problem`)."""
     problem = memory_problem(points=points, pixels=pixels, more_bytes=more_bytes)
     if problem:
         raise ValueError(problem)
 
 
 def require_pixels(width: int, height: int, *, give_points: bool = False) -> None:
-    """Checks the size that an image declares.
-
-    Args:
-        give_points: each pixel gives a point, as those of a depth image do.
-
-    Raises:
-        ValueError: it is not a size, or too large.
-    """
+    """Raises ValueError if an image declares no size, or a too large one; `give_points`: each pixel gives a point."""
     if min(width, height) <= 0:
         raise ValueError(f"declares {width} x {height} pixels")
     problem = memory_problem(pixels=width * height, points=width * height * give_points)
@@ -84,8 +63,7 @@ def require_pixels(width: int, height: int, *, give_points: bool = False) -> Non
 def read_frame_file(path: Path) -> bytes:
     """Returns the content of a file of one frame, such as an image or a cloud.
 
-    Raises:
-        OSError: it cannot be read, is not a regular file, or is too large (the message says how to read it).
+    If it is too large, the OSError says how to read it.
     """
     try:
         return read_file(path, frame_memory())

@@ -37,11 +37,7 @@ JPEG_QUALITY = 95
 def encoded_image(
     image: np.ndarray, image_format: Literal["png", "jpg"] = "png", jpeg_quality: int = JPEG_QUALITY
 ) -> bytes:
-    """Returns an RGB image, (h, w, 3) uint8, or one of numbers, (h, w) uint8 or uint16, as the bytes of a file.
-
-    Raises:
-        OSError: the image is too large for the format.
-    """
+    """Returns an RGB image, (h, w, 3) uint8, or one of numbers, (h, w) uint8 or uint16, as the bytes of a file."""
     import cv2
 
     settings = [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality] if image_format == "jpg" else []
@@ -54,24 +50,13 @@ def encoded_image(
 
 
 def read_image(path: Path, flags: int) -> np.ndarray:
-    """Decodes a PNG or JPEG file as `decode_image`.
-
-    Raises:
-        OSError: it cannot be read.
-        ValueError: as `decode_image`.
-    """
     return decode_image(read_frame_file(path), flags)
 
 
 def decode_image(data: bytes, flags: int, *, give_points: bool = False) -> np.ndarray:
-    """Decodes the bytes of a PNG or JPEG file to an image in OpenCV's layout (BGR).
+    """Decodes the bytes of a PNG or JPEG file to an image in OpenCV's layout (BGR), as OpenCV's `flags` say.
 
     Other formats that OpenCV can decode are refused, because their memory use is not bounded.
-
-    Args:
-        data: PNG or JPEG.
-        flags: OpenCV's, such as `cv2.IMREAD_COLOR`.
-        give_points: as `require_pixels`.
 
     Raises:
         ValueError: truncated, damaged, of another format, or too large (`frame_limits`); the message says which.
@@ -157,12 +142,7 @@ def _exif_behind_pixels(data: bytes) -> bytes:
 
 
 def is_turned(orientation: int, stored: Size, said: Size | None) -> bool | None:
-    """True if the size `said` fits only the turned image, False if only the image as stored; None if it does not tell.
-
-    Args:
-        stored: the size as stored.
-        said: by a calibration or a label file; None = not said.
-    """
+    """True if the size `said` fits only the turned image, False if only that as stored; None if it does not tell."""
     if orientation == UPRIGHT:
         return False
     turned = turned_size(orientation, stored)
@@ -193,11 +173,7 @@ def as_stored(image: np.ndarray, orientation: int) -> np.ndarray:
 
 
 def box_as_stored(box: Box2D, orientation: int, stored: Size) -> Box2D:
-    """Returns a box on the image as viewers show it, in the pixels as stored.
-
-    Args:
-        stored: the size as stored.
-    """
+    """Returns a box on the image as viewers show it, in the pixels as stored, of the size `stored`."""
     width, height = turned_size(orientation, stored)
     x, y = (box.x_min, box.x_max), (box.y_min, box.y_max)
     if orientation in (2, 3, 6, 7):
@@ -210,5 +186,4 @@ def box_as_stored(box: Box2D, orientation: int, stored: Size) -> Box2D:
 
 
 def described(orientation: int) -> str:
-    """Returns the words for an orientation other than 1."""
     return f"EXIF orientation {orientation} ({HOW[orientation]} when it is shown)"

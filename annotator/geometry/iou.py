@@ -64,15 +64,9 @@ def intersection_volume_pairs(
     rotations_b: Rotations,
     sizes_b: Vectors,
 ) -> Float64[np.ndarray, "n"]:
-    """The intersection volume of boxes a and b, for each of n pairs.
+    """The intersection volume of boxes a and b, for each of n pairs, m^3, between 0 and that of the smaller box.
 
-    Args:
-        centers_a, centers_b: box centres, metres, in one frame.
-        rotations_a, rotations_b: columns = box axes in that frame.
-        sizes_a, sizes_b: full lengths along the box axes, metres, positive.
-
-    Returns:
-        (n,) cubic metres, between 0 and the volume of the smaller box.
+    Centres are metres in one frame, the columns of the rotations box axes in it, sizes full lengths along them.
 
     Raises:
         GeometryError: a size that is not positive, or a value that is not finite.
@@ -119,10 +113,6 @@ def nms_3d(
 
     Boxes are processed in order of descending score. A box is dropped if its IoU with a kept box of its class is larger
     than `iou_threshold`. Of equal scores, the lower index comes first, so the result is deterministic.
-
-    Args:
-        scores: one per box; any finite numbers.
-        iou_threshold: in 0..1.
 
     Returns:
         Indices of the kept boxes, best score first.

@@ -17,11 +17,7 @@ def points_in_box(
 ) -> Bool[np.ndarray, "n"]:
     """Which points lie in a box or on its surface; NaN points are outside.
 
-    Args:
-        xyz: points, contiguous rows.
-        center: of the box, in the points' frame; like all other arguments, with the dtype of the points.
-        rotation: columns = box axes in that frame.
-        half: half the lengths of the box.
+    All arguments have the points' dtype and frame; rows are contiguous, `half` are half the lengths of the box.
     """
     inside = np.empty(len(xyz), np.bool_)
     # scalars, so that the compiler does not reload them in the loop
@@ -46,11 +42,9 @@ def points_in_box(
 def depth_points(
     depth: Float32[np.ndarray, "p"], x: Float32[np.ndarray, "p"], y: Float32[np.ndarray, "p"]
 ) -> tuple[Float32[np.ndarray, "n 3"], Int32[np.ndarray, "n"]]:
-    """The point and the place of each pixel with a positive, finite depth and a ray.
+    """The point and the place of each pixel with a positive, finite depth (z, metres) and a ray.
 
-    Args:
-        depth: z of each pixel, metres.
-        x, y: x/z and y/z of the ray of each pixel; x is NaN for a pixel without a ray.
+    `x` and `y` are x/z and y/z of the ray of each pixel; x is NaN for a pixel without a ray.
     """
     count = 0
     for i in range(len(depth)):
@@ -130,11 +124,8 @@ def _slabs(
 ) -> None:
     """Fills in the slabs relative to the smaller box's centre, those of the larger box first.
 
-    Args:
-        large, small: centre, rotation (columns = axes) and sizes.
-        diagonal: of the larger box.
-        normals: (6, 3) unit normals.
-        offsets: (6, 2) of the lower and upper plane of each.
+    Boxes are centre, rotation (columns = axes) and sizes, `diagonal` that of the larger one; `normals` are (6, 3) unit
+    vectors, `offsets` (6, 2) of the lower and upper plane of each.
     """
     shift = large[0] - small[0]
     for i in range(3):
@@ -161,9 +152,7 @@ def _slabs(
 def _clip_lines(normals: np.ndarray, offsets: np.ndarray, crosses: np.ndarray, lines: np.ndarray) -> None:
     """Fills in where each line enters and leaves the four other slabs, measured along its cross product.
 
-    Args:
-        crosses: (6, 6, 3) cross products, for i < j.
-        lines: (6, 6, 2, 2, 2) for i < j: plane of i, plane of j, and entry or exit.
+    For i < j: `crosses` (6, 6, 3), and `lines` (6, 6, 2, 2, 2) by plane of i, plane of j, and entry or exit.
     """
     for i in range(6):
         for j in range(i + 1, 6):

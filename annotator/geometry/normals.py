@@ -31,21 +31,15 @@ ROWS = 32
 
 
 def normals_from_depth(camera: Camera, depth_m: Float[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 3"]:
-    """Normals of a depth image, from a plane fitted to each pixel's neighbourhood.
+    """Unit normals of a depth image, in the camera frame, towards the camera, from a plane fitted around each pixel.
 
     On a plane, the inverse depth is linear in the image coordinates. So the least-squares slope of 1/z over a window
-    gives the plane. Neighbours across a depth step are left out, which keeps edges sharp.
+    gives the plane. Neighbours across a depth step are left out, which keeps edges sharp. Zero without depth, or with
+    too few neighbours on the same surface.
 
     Args:
         camera: the camera to which the depth is registered; distortion is taken into account.
         depth_m: z in the camera frame, metres; zero, negative, NaN and infinite values mean no measurement.
-
-    Returns:
-        unit normals in the camera frame, towards the camera; zero without depth, or with too few neighbours on the
-        same surface.
-
-    Raises:
-        GeometryError: the sizes of depth image and camera differ.
     """
     require_image_size(camera, depth_m)
     height_px, width_px = depth_m.shape
@@ -64,15 +58,11 @@ def normals_from_depth(camera: Camera, depth_m: Float[np.ndarray, "h w"]) -> Flo
 
 
 def normals_knn(xyz_m: Float[np.ndarray, "n 3"], k: int = 16) -> Float32[np.ndarray, "n 3"]:
-    """Normals of unordered points: the direction of least spread of each point's `k` nearest neighbours.
-
-    Args:
-        xyz_m: points, metres, with the sensor at the origin.
-        k: neighbours per fit, including the point itself; all points if there are fewer.
+    """Normals of unordered points: the direction of least spread of the `k` points nearest to each, itself included.
 
     Returns:
-        unit normals, towards the origin; zero if the neighbours lie on a line or at one point, and for fewer than three
-        points.
+        unit normals, towards the sensor at the origin; zero if the neighbours lie on a line or at one point, and for
+        fewer than three points.
 
     Raises:
         GeometryError: a coordinate is not finite, or `k` is below 3.
@@ -98,11 +88,9 @@ def normals_knn(xyz_m: Float[np.ndarray, "n 3"], k: int = 16) -> Float32[np.ndar
 def _slopes(
     padded: Float32[np.ndarray, "_a _b"], step_per_px: float
 ) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
-    """Least-squares slopes along u and v, per pixel, of an image with a margin of REACH_PX; NaN if unknown.
+    """Least-squares slopes along u and v, per pixel, of an inverse depth with a margin of REACH_PX; NaN if unknown.
 
-    Args:
-        padded: inverse depth, with margin.
-        step_per_px: allowed difference in depth to a neighbour, share of the depth per pixel of distance.
+    `step_per_px` is the allowed difference in depth to a neighbour, share of the depth per pixel of distance.
     """
     rows, columns = padded.shape[0] - 2 * REACH_PX, padded.shape[1] - 2 * REACH_PX
     center = padded[REACH_PX : REACH_PX + rows, REACH_PX : REACH_PX + columns]

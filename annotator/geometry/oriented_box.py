@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from itertools import permutations
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64, UInt8
@@ -34,15 +33,9 @@ EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4),
 def corners(
     center: Float[np.ndarray, "*n 3"], rotation: Float[np.ndarray, "*n 3 3"], size: Float[np.ndarray, "*n 3"]
 ) -> Float64[np.ndarray, "*n 8 3"]:
-    """The corners of any number of boxes.
+    """The corners of any number of boxes, in the order of `CORNER_SIGNS` and the frame of `center`, metres.
 
-    Args:
-        center: box centres, metres.
-        rotation: columns = box axes in the frame of `center`.
-        size: full lengths along the box axes, metres.
-
-    Returns:
-        Corners in the order of `CORNER_SIGNS`, in the frame of `center`.
+    The columns of `rotation` are box axes in that frame; `size` are full lengths along them.
     """
     half = 0.5 * CORNER_SIGNS * np.asarray(size, np.float64)[..., None, :]
     turned = half @ np.swapaxes(np.asarray(rotation, np.float64), -1, -2)
@@ -54,44 +47,26 @@ def box_corners(box: OrientedBox) -> Float64[np.ndarray, "8 3"]:
     return corners(box.center_m, box.rotation, box.size_m)
 
 
-def contains_parts(
-    center: Float[np.ndarray, "3"],
-    rotation: Float[np.ndarray, "3 3"],
-    size: Float[np.ndarray, "3"],
-    xyz: Float[np.ndarray, "n 3"],
-) -> Bool[np.ndarray, "n"]:
-    """Which points lie in a box or on its surface; NaN points are outside.
+def contains(box: OrientedBox, xyz_m: Float[np.ndarray, "n 3"], margin_m: float = 0.0) -> Bool[np.ndarray, "n"]:
+    """Which points (camera frame) lie in a box with all faces moved outwards by `margin_m` metres, or on its surface.
 
-    The computation uses the precision of `xyz`, after subtracting the centre.
+    NaN points are outside. A negative margin shrinks the box; one that is shrunk to nothing contains no points. The
+    computation uses the precision of the points, after subtracting the centre.
     """
     from annotator.geometry.kernels import points_in_box
 
-    dtype = xyz.dtype
-    half = (0.5 * size).astype(dtype)
-    return points_in_box(np.ascontiguousarray(xyz), center.astype(dtype), rotation.astype(dtype, "C"), half)
-
-
-def contains(box: OrientedBox, xyz_m: Float[np.ndarray, "n 3"], margin_m: float = 0.0) -> Bool[np.ndarray, "n"]:
-    """Which points (camera frame) lie in a box with all faces moved outwards by `margin_m` metres.
-
-    A negative margin shrinks the box; a box that is shrunk to nothing contains no points.
-    """
-    return contains_parts(box.center_m, box.rotation, box.size_m + 2.0 * margin_m, xyz_m)
+    dtype, half_m = xyz_m.dtype, 0.5 * (box.size_m + 2.0 * margin_m)
+    center_m, rotation = box.center_m.astype(dtype), box.rotation.astype(dtype, "C")
+    return points_in_box(np.ascontiguousarray(xyz_m), center_m, rotation, half_m.astype(dtype))
 
 
 def aligned_box(xyz_m: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "3 3"]) -> OrientedBox:
-    """The smallest box with given axes around points.
+    """The smallest box around points, metres, with given axes, the columns of `rotation` in their frame.
 
-    Args:
-        xyz_m: at least one point, metres.
-        rotation: columns = box axes in the frame of the points.
-
-    Returns:
-        the box; shorter sides are widened to `MIN_SIDE_M`.
+    Shorter sides are widened to `MIN_SIDE_M`.
 
     Raises:
         GeometryError: no points, or points that are not finite.
-        ValueError: `rotation` is not a rotation.
     """
     if len(xyz_m) == 0:
         raise GeometryError("a box needs at least 1 point, not 0")
@@ -149,34 +124,17 @@ def nearest_upright(box: OrientedBox, up: Float[np.ndarray, "3"]) -> tuple[Orien
     Args:
         up: unit vector against gravity, in the box's frame.
     """
-    candidates = [_made_upright(box, up, order) for order in _orders(box, up)]
-    return min(candidates, key=lambda pair: pair[1])
-
-
-def _orders(box: OrientedBox, up: np.ndarray) -> list[tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, "3"]]]:
-    """Candidate labellings (rotation, size): the given one; for a box on its side, those with a vertical z axis."""
-    R, size = box.rotation, box.size_m
-    rise = R.T @ up
+    R, size_m, rise = box.rotation, box.size_m, box.rotation.T @ up
     vertical = int(np.argmax(np.abs(rise)))
     if vertical == 2 or abs(rise[vertical]) - abs(rise[2]) < 1e-9:
         # upside down: half a turn about the length axis keeps the heading
-        return [(R if rise[2] >= 0 else R * np.array([1.0, -1.0, -1.0]), size)]
-    candidates = []
-    for order in permutations(range(3)):
-        if order[2] != vertical:
-            continue
-        axes = R[:, order] * np.array([1.0, 1.0, math.copysign(1.0, rise[vertical])])
-        axes[:, 1] *= np.linalg.det(axes)
-        candidates.append((axes, size[list(order)]))
-    # the length axis is kept if it is still horizontal
-    return [pair for pair in candidates if vertical == 0 or np.allclose(np.abs(pair[0][:, 0]), np.abs(R[:, 0]))]
-
-
-def _made_upright(
-    box: OrientedBox, up: np.ndarray, candidate: tuple[np.ndarray, np.ndarray]
-) -> tuple[OrientedBox, float]:
-    """The upright box nearest to a candidate, and the angle between both, radians."""
-    R, size_m = candidate
+        R = R if rise[2] >= 0 else R * np.array([1.0, -1.0, -1.0])
+    else:
+        # on end or on its side: the length axis is kept if it is still horizontal
+        order = [1, 2, 0] if vertical == 0 else [0, 2, 1]
+        R = R[:, order] * np.array([1.0, 1.0, math.copysign(1.0, rise[vertical])])
+        R[:, 1] *= np.linalg.det(R)
+        size_m = size_m[order]
     tilt = math.acos(min(1.0, max(-1.0, float(R[:, 2] @ up))))
     if tilt < 1e-12:
         return OrientedBox.from_parts(box.center_m, R, size_m), 0.0
@@ -200,7 +158,6 @@ def tightest_box(
     """The box of least volume that contains all points, found by local search.
 
     Args:
-        xyz_m: camera frame.
         rotations: where the search starts; columns = box axes.
         up: unit vector; if given, boxes turn about it only.
     """
@@ -311,11 +268,7 @@ class CommonAxis:
 
 
 def common_axis(rotations: Float64[np.ndarray, "n 3 3"]) -> CommonAxis:
-    """The axis with the smallest spread, among those that start from an axis of a box.
-
-    Args:
-        rotations: of at least one box; the columns are its axes.
-    """
+    """The axis with the smallest spread, among those that start from an axis of a box, a column of its rotation."""
     best, spread = rotations[0, :, 0], np.inf
     for axis in rotations.transpose(0, 2, 1).reshape(-1, 3):
         for _ in range(MEAN_STEPS):

@@ -46,15 +46,9 @@ Polygon = Float64[np.ndarray, "_ d"]
 
 
 def box_on_image(camera: Camera, box: OrientedBox, label: str, min_side_px: float = MIN_SIDE_PX) -> Box2D | None:
-    """The 2D box of the visible part of a 3D box: at least `NEAR_M` in front of the camera and within the image.
+    """The 2D box, pixels, of the visible part of a 3D box (camera frame), at least `NEAR_M` in front of the camera.
 
-    Args:
-        camera: distortion is taken into account.
-        box: in the camera frame.
-        min_side_px: minimum width and height.
-
-    Returns:
-        the box, pixels; None if nothing is visible, or if it is smaller than `min_side_px`.
+    Distortion is taken into account. None if nothing is visible, or if a side is shorter than `min_side_px`.
     """
     polygons = _visible_faces(camera, box_corners(box))
     xy, last_px = np.concatenate(polygons), _last_px(camera)
@@ -67,11 +61,7 @@ def box_on_image(camera: Camera, box: OrientedBox, label: str, min_side_px: floa
 
 
 def edges_at_border(camera: Camera, box: Box2D, margin_px: float) -> tuple[bool, bool, bool, bool]:
-    """Which edges of a 2D box lie on the image border or beyond it: left, right, top, bottom.
-
-    Args:
-        margin_px: distance from the border within which an edge counts as lying on it.
-    """
+    """Which edges of a 2D box lie within a margin of the image border or beyond it: left, right, top, bottom."""
     right, bottom = _last_px(camera) - margin_px
     first = margin_px - 0.5
     return bool(box.x_min <= first), bool(box.x_max >= right), bool(box.y_min <= first), bool(box.y_max >= bottom)
@@ -80,10 +70,7 @@ def edges_at_border(camera: Camera, box: Box2D, margin_px: float) -> tuple[bool,
 def points_on_image(
     camera: Camera, xyz_m: Float[np.ndarray, "n 3"], label: str, min_side_px: float = MIN_SIDE_PX
 ) -> Box2D | None:
-    """The 2D box around the points (camera frame, metres) that are in front of the camera and within the image.
-
-    Other arguments and the result are as in `box_on_image`.
-    """
+    """The 2D box, as of `box_on_image`, around the points (camera frame, metres) that are in front of the camera."""
     px = project(camera, xyz_m[xyz_m[:, 2] >= NEAR_M])
     # comparisons with NaN are false, so points that cannot be projected are outside
     inside = ((px >= -0.5) & (px <= _last_px(camera))).all(axis=1)
@@ -121,12 +108,7 @@ def _in_image(polygon_px: Float64[np.ndarray, "n 2"], last_px: Float64[np.ndarra
 
 
 def cut_polygon(polygon: Polygon, half_spaces: HalfSpaces) -> Polygon:
-    """The part of a convex polygon within half-spaces; empty if there is none.
-
-    Args:
-        polygon: (n, d) corners in order.
-        half_spaces: (k, d + 1) rows of a normal and an offset; points with normal . p >= offset are kept.
-    """
+    """The part of a convex polygon, (n, d) corners in order, within half-spaces; empty if there is none."""
     for plane in half_spaces:
         height = polygon @ plane[:-1] - plane[-1]
         inside = height >= 0
@@ -199,13 +181,9 @@ _ENDS = np.array(EDGES)
 def heading_px(camera: Camera, box: OrientedBox, head_px: float) -> Float64[np.ndarray, "k 2 2"]:
     """The arrow of a box's heading on the image, from its centre through its front (+x) face, not clipped to it.
 
-    Args:
-        box: in the camera frame.
-        head_px: length of the two lines of its head.
-
     Returns:
-        (3, 2, 2) pixels, both ends (u, v) of the shaft and of the head's lines; (0, 2, 2) if it reaches behind the
-        camera or far from the image.
+        (3, 2, 2) pixels, both ends (u, v) of the shaft and of the head's two lines of length `head_px`; (0, 2, 2) if it
+        reaches behind the camera or far from the image.
     """
     reach_m = 0.5 * box.size_m[0] + ARROW_BEYOND * box.size_m.mean()
     shaft = project(camera, np.stack([box.center_m, box.center_m + reach_m * box.rotation[:, 0]]))
@@ -219,11 +197,7 @@ def heading_px(camera: Camera, box: OrientedBox, head_px: float) -> Float64[np.n
 
 
 def visible_edges(camera: Camera, boxes: Sequence[OrientedBox]) -> list[Float64[np.ndarray, "k 2 2"]]:
-    """The visible parts of each box's 12 edges, as straight pieces on the image.
-
-    Args:
-        camera: distortion is taken into account.
-        boxes: in the camera frame.
+    """The visible parts of the 12 edges of each box (camera frame), as straight pieces on the image.
 
     Returns:
         one array per box: (k, 2, 2) pixels, both ends (u, v) of k pieces; k = 0 if the box is not visible. On a
@@ -247,12 +221,7 @@ def visible_edges(camera: Camera, boxes: Sequence[OrientedBox]) -> list[Float64[
 def cut_segments(
     ends: Float64[np.ndarray, "n 2 3"], half_spaces: Float64[np.ndarray, "k 4"]
 ) -> tuple[Float64[np.ndarray, "n 2 3"], Bool[np.ndarray, "n"]]:
-    """Line segments clipped to half-spaces, and a mask of the segments that are at least partly inside.
-
-    Args:
-        ends: both ends of each segment.
-        half_spaces: rows of a normal and an offset; points with normal . p >= offset are kept.
-    """
+    """Line segments, by both ends, clipped to half-spaces, and a mask of those that are at least partly inside."""
     height = ends @ half_spaces[:, :3].T - half_spaces[:, 3]
     first, last = height[:, 0], height[:, 1]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -306,15 +275,10 @@ def rectangle_intersection_pairs(
     yaws_b_rad: Float64[np.ndarray, "n"],
     sizes_b: Float64[np.ndarray, "n 2"],
 ) -> Float64[np.ndarray, "n"]:
-    """The intersection area of rectangles a and b, for each of n pairs: the volume shared by boxes of height 1.
+    """The intersection area, m^2, of rectangles a and b, for each of n pairs: the volume shared by boxes of height 1.
 
-    Args:
-        centers_a, centers_b: coordinates in one plane, metres.
-        yaws_a_rad, yaws_b_rad: direction of the first side, from the plane's first axis towards its second.
-        sizes_a, sizes_b: full lengths of the first and second side, positive, metres.
-
-    Returns:
-        (n,) square metres.
+    Centres and full side lengths are metres in one plane. Yaws are directions of the first side, from the plane's first
+    axis towards its second.
     """
     parts: list[np.ndarray] = []
     for centers, yaws, sizes in ((centers_a, yaws_a_rad, sizes_a), (centers_b, yaws_b_rad, sizes_b)):
@@ -359,9 +323,7 @@ class Sight:
     def hidden(self, box: OrientedBox, margin_m: float = 0.0) -> Hidden:
         """Counts the rays towards a box, and those that end in front of it (slab test of Kay and Kajiya, 1986).
 
-        Args:
-            box: camera frame.
-            margin_m: points within this distance of the box's front, along their ray, count as part of it, metres.
+        Points within `margin_m` of the box's front, along their ray, count as part of it.
         """
         xyz = self._xyz_m[self._near(box)]
         R = box.rotation.astype(np.float32)

@@ -32,9 +32,8 @@ STEP = 1e-30j
 def distort(coefficients: Coefficients, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
     """The distorted image coordinates of ideal coordinates (x/z, y/z).
 
-    Returns:
-        distorted normalised coordinates, with the dtype of `xy`; NaN outside the radius up to which the radial model is
-        monotonic. Further out, the polynomials decrease again, so points far outside the image would project into it.
+    NaN outside the radius up to which the radial model is monotonic. Further out, the polynomials decrease again, so
+    points far outside the image would project into it.
     """
     return np.stack(distort_planes(coefficients, xy[:, 0], xy[:, 1]), axis=1)
 
@@ -122,14 +121,9 @@ CameraKey = tuple[int, int, float, float, float, float, tuple[float, ...]]
 
 
 def project(camera: Camera, xyz_m: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
-    """Projects points onto the image.
+    """The pixels u, v of points (camera frame, metres), not clipped to the image.
 
-    Args:
-        xyz_m: points in the camera frame, metres.
-
-    Returns:
-        (n, 2) pixels u, v, not clipped to the image. NaN for z <= 0, for NaN coordinates, and for points outside the
-        range of the distortion model.
+    NaN for z <= 0, for NaN coordinates, and for points outside the range of the distortion model.
     """
     z = np.asarray(xyz_m[:, 2], np.float64)
     z = np.where(z > 0, z, np.nan)
@@ -180,18 +174,13 @@ def camera_key(camera: Camera) -> CameraKey:
 def unproject_depth(
     camera: Camera, depth_m: Float[np.ndarray, "h w"]
 ) -> tuple[Float32[np.ndarray, "n 3"], Int32[np.ndarray, "n"]]:
-    """The points of a depth image.
+    """The points of a depth image, (h, w) z in the frame of the camera to which it is registered, metres.
 
-    Args:
-        camera: the camera to which the depth is registered.
-        depth_m: (h, w) z in the camera frame, metres; zero, negative, NaN and infinite values mean no measurement.
+    Zero, negative, NaN and infinite values mean no measurement.
 
     Returns:
         Points (n, 3) in the camera frame, metres, in row-major order of their pixels; and the pixel of each,
         `v * width + u`.
-
-    Raises:
-        GeometryError: the sizes of depth image and camera differ.
     """
     from annotator.geometry.kernels import depth_points
 
@@ -247,7 +236,6 @@ def _pixel_rays(key: CameraKey) -> Float32[np.ndarray, "h w 2"]:
 
 @lru_cache(maxsize=4)
 def _ray_columns(key: CameraKey) -> tuple[Float32[np.ndarray, "n"], Float32[np.ndarray, "n"]]:
-    """x/z and y/z of the rays of all pixels, row by row."""
     rays = _pixel_rays(key).reshape(-1, 2)
     return rays[:, 0].copy(), rays[:, 1].copy()
 
@@ -267,12 +255,7 @@ def measured(values: np.ndarray) -> Bool[np.ndarray, "h w"]:
 
 
 def in_metres(values: np.ndarray, units_per_m: float) -> Float32[np.ndarray, "h w"]:
-    """Returns depths in metres, 0 where there is no measurement (`measured`).
-
-    Args:
-        values: (h, w) raw depths, of any integer or float type.
-        units_per_m: 1000 for millimetres.
-    """
+    """Returns raw depths, of any integer or float type, in metres, 0 where there is no measurement (`measured`)."""
     with np.errstate(all="ignore"):
         depth_m = np.divide(values, np.float32(units_per_m), dtype=np.float32, casting="unsafe")
     depth_m[~measured(values)] = 0
@@ -280,14 +263,9 @@ def in_metres(values: np.ndarray, units_per_m: float) -> Float32[np.ndarray, "h 
 
 
 def in_frustum(camera: Camera, xyz_m: Float[np.ndarray, "n 3"], box: Box2D) -> Bool[np.ndarray, "n"]:
-    """Which points project into a 2D box on the camera image, edges included.
+    """Which points (camera frame, metres) project into a 2D box, edges included; it may extend beyond the image.
 
-    Args:
-        xyz_m: points in the camera frame, metres.
-        box: on the image, pixels; it may extend beyond the image.
-
-    Returns:
-        (n,) mask; points behind the camera (z <= 0) and NaN points are outside.
+    Points behind the camera (z <= 0) and NaN points are outside.
     """
     return in_frustums(camera, xyz_m, [box])[0]
 
@@ -318,7 +296,6 @@ def thin(n_points: int, most: int) -> Int64[np.ndarray, "m"] | None:
 
 
 def every_nth(values: Shaped[np.ndarray, "n *rest"], most: int) -> Shaped[np.ndarray, "k *rest"]:
-    """At most so many rows, spread evenly over their order."""
     return values if len(values) <= most else values[np.linspace(0, len(values) - 1, most).astype(np.intp)]
 
 

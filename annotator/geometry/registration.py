@@ -39,10 +39,9 @@ def register(
 ) -> Pose | None:
     """Moves and turns points so that they lie on the points of a cloud; None if too few lie near it.
 
+    Points without a counterpart in the cloud, and other objects in it, do no harm.
+
     Args:
-        points: of the object, in its own coordinates; those without a counterpart in the cloud do no harm.
-        cloud: may contain other objects.
-        start: the first pose.
         reach_m: distance within which a point's counterpart is looked for at first.
         up: unit vector; if given, the rotation changes about it only.
     """

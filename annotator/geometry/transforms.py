@@ -24,11 +24,7 @@ MAX_STEEPNESS = 0.99
 
 
 def unit(vector: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3"]:
-    """The unit vector in the direction of a vector.
-
-    Raises:
-        GeometryError: the vector is zero or not finite.
-    """
+    """The unit vector in the direction of a vector; GeometryError if it is zero or not finite."""
     wide = np.asarray(vector, np.float64)
     length = float(np.linalg.norm(wide))
     if not (np.isfinite(length) and length > 0):
@@ -37,15 +33,10 @@ def unit(vector: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3"]:
 
 
 def right_handed_axes(major: Float[np.ndarray, "3"], hint: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
-    """Right-handed orthonormal axes with a given first axis.
+    """Right-handed orthonormal axes: columns x (along `major`), y (towards `hint`), z = x cross y.
 
-    Args:
-        major: direction of the first axis.
-        hint: the second axis is the component of `hint` perpendicular to `major`. If `hint` is parallel to `major`,
-            the most nearly perpendicular coordinate axis is used instead.
-
-    Returns:
-        (3, 3), columns = x (along `major`), y (towards `hint`), z = x cross y; determinant +1.
+    y is the component of `hint` perpendicular to `major`; if they are parallel, that of the most nearly perpendicular
+    coordinate axis.
 
     Raises:
         GeometryError: `major` has no direction, or `hint` is not finite.
@@ -75,8 +66,7 @@ def corners_4x8(box: OrientedBox) -> Float64[np.ndarray, "4 8"]:
 def level_pose(up: Float[np.ndarray, "3"] | None) -> RigidTransform:
     """T_level_camera of the level axes at the camera: x horizontally forward, y left, z against gravity.
 
-    Args:
-        up: unit vector against gravity in the camera frame; None assumes a level camera.
+    `up` is a unit vector against gravity in the camera frame; None assumes a level camera.
     """
     against = IMAGE_UP if up is None else up
     ahead = FORWARD if abs(float(against @ FORWARD)) < MAX_STEEPNESS else IMAGE_UP
@@ -99,9 +89,7 @@ NEARLY_ALL = 0.95
 class Quaternions:
     """The quaternions of a set of things that stand upright in their frame, as they are in the file.
 
-    Args:
-        w_first: the format's order is w x y z; False: x y z w.
-        thing, things: words for one of them and for several, with the verb.
+    `w_first`: the format's order is w x y z; False: x y z w. `thing` and `things` are words with the verb.
     """
 
     def __init__(self, *, w_first: bool = True, thing: str = "box is", things: str = "boxes are") -> None:
@@ -109,7 +97,6 @@ class Quaternions:
         self._values = array("d")
 
     def add(self, quaternion: Iterable[float]) -> None:
-        """Adds the quaternion of one of them."""
         self._values.extend(quaternion)
 
     def problem(self) -> str | None:
@@ -130,10 +117,7 @@ class Quaternions:
         )
 
     def require(self, path: Path) -> None:
-        """
-        Raises:
-            UnitError: the quaternions are in the other order.
-        """
+        """Raises UnitError if the quaternions are in the other order."""
         if (problem := self.problem()) is not None:
             raise UnitError(UnitKind.QUATERNION, path, problem)
 

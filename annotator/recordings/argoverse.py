@@ -61,11 +61,9 @@ class ArgoverseLog(Scanned, RigCamera):
     """A `Recording` of a log's sweeps, in time order; labels are in the ego frame of the sweep's time.
 
     Attributes:
-        camera: name of the camera; "" for the virtual one of a log without images.
-        cameras: names of all cameras.
+        camera: "" for the virtual one of a log without images.
         images: the time of each frame's image, as in its file's name; empty without images.
         poses: of the vehicle, by time.
-        notes: what was left out.
     """
 
     camera: str
@@ -107,7 +105,6 @@ class ArgoverseLog(Scanned, RigCamera):
         return picture.frame(key, i, camera, cloud, up=up, T_camera_label=T_camera_ego, **moment)
 
     def scan(self, i: int) -> Scan:
-        """Reads the whole sweep of frame `i`."""
         key = self.key(i)
         raw = self._sweep(key)
         T_city_ego = self._T_city_ego(key)
@@ -117,7 +114,6 @@ class ArgoverseLog(Scanned, RigCamera):
         return Scan(raw, R_level_ego, place_m, T_ego_label, True, int(key), T_city_ego)
 
     def moment(self, i: int) -> str:
-        """Returns the time of the sweep."""
         return self.key(i)
 
     def T_rig_camera(self, i: int) -> RigidTransform:
@@ -181,12 +177,10 @@ def open_argoverse2(path: Path, options: ReaderOptions) -> ArgoverseLog | None:
 
 
 def is_argoverse2(path: Path) -> bool:
-    """Returns True if the path has the folder of sweeps and the file of poses."""
     return (path / SWEEPS).is_dir() and (path / POSES).is_file()
 
 
 def _times(folder: Path, suffixes: tuple[str, ...]) -> set[str]:
-    """Returns the names of files that are times."""
     names = {name for name in stems(folder, suffixes) if name.isdecimal() and len(name) <= LONGEST_TIME}
     late = sorted(name for name in names if int(name) > LATEST_NS)
     if late:
@@ -195,7 +189,6 @@ def _times(folder: Path, suffixes: tuple[str, ...]) -> set[str]:
 
 
 def _pairs(keys: Sequence[str], images: set[str], within_s: float) -> dict[str, str]:
-    """Returns the time of the nearest image of each sweep, by the sweep's time."""
     names = sorted(images, key=int)
     near = nearest(np.array([int(key) for key in keys]), np.array([int(name) for name in names]))
     found = {key: names[at] for key, at in zip(keys, near.tolist(), strict=True)}

@@ -47,7 +47,6 @@ MOST_DOCUMENT_BYTES = 2**28
 
 
 def read_document(path: Path) -> Any:
-    """Returns the content of a JSON file."""
     try:
         return json.loads(decoded(read_file(path, MOST_DOCUMENT_BYTES)))
     except (OSError, ValueError, RecursionError) as error:
@@ -55,8 +54,6 @@ def read_document(path: Path) -> Any:
 
 
 class Described(NamedTuple):
-    """The camera, direction against gravity, time and place of a frame."""
-
     camera: Camera
     up: Float64[np.ndarray, "3"] | None
     timestamp_ns: int | None
@@ -84,7 +81,6 @@ class ExportFolder(Recording):
             raise FrameError(self.path, f"has a frame whose file {error}", REMEDY) from error
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`."""
         key = self.key(i)
         *_, image, cloud = self.files(i)
         camera, up, timestamp_ns, T_world_camera = self.described(key)
@@ -139,8 +135,6 @@ class PoseRecord(FileRecord):
 
 
 class TransformRecord(FileRecord):
-    """The pose of a document's base in the world."""
-
     transform_src_to_dst: PoseRecord
 
 
@@ -157,17 +151,12 @@ class DocumentFrame(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class OpenLabelFolder(ExportFolder):
-    """A `Recording` of exported OpenLABEL documents.
-
-    Attributes:
-        documents: the documents; they are large, and read with the first frame.
-    """
+    """A `Recording` of exported OpenLABEL documents, which are large, and read with the first frame."""
 
     documents: tuple[Path, ...]
     format: ClassVar[str] = "openlabel"
 
     def document(self, key: str) -> Path:
-        """Returns the document of a frame, which has its labels."""
         return self.documents[0] if len(self.documents) == 1 else self._listed(key).document
 
     def named(self, key: str) -> tuple[str, ...]:
@@ -226,7 +215,6 @@ def _is_ours(file: Path) -> bool:
 
 
 def _frames(document: Path, content: Any) -> Iterator[DocumentFrame]:
-    """Yields the frames of a document in order; a KeyError or TypeError says what it lacks."""
     common = content["streams"][CAMERA]["stream_properties"]["intrinsics_pinhole"]
     for number in sorted(content["frames"], key=int):
         properties = content["frames"][number]["frame_properties"]
@@ -268,8 +256,6 @@ class CameraRecord(FileRecord):
 
 
 class FrameFile(FileRecord):
-    """What a frame needs of `labels/ID.json`."""
-
     image: str
     cloud: str
     camera: CameraRecord
@@ -280,8 +266,6 @@ class FrameFile(FileRecord):
 
 @dataclass(frozen=True, eq=False)
 class RcvFolder(ExportFolder):
-    """A `Recording` of an `rcv` dataset."""
-
     format: ClassVar[str] = "rcv"
 
     def named(self, key: str) -> tuple[str, ...]:

@@ -116,12 +116,9 @@ def nearest(of_ns: Int64[np.ndarray, "n"], among_ns: Int64[np.ndarray, "m"]) -> 
 
 
 def image_at(recording: Recording, index: int, offset_s: float) -> int:
-    """Index of the frame whose image belongs to the cloud of frame `index`, with the clouds' clock ahead.
+    """Index of the frame whose image belongs to the cloud of frame `index`, with the clouds' clock ahead by `offset_s`.
 
     It is the frame itself without a time for it, or where no other image is nearer in time.
-
-    Args:
-        offset_s: how far the clouds' clock is ahead.
     """
     times: Times | None = getattr(recording, "times_ns", None) if recording.is_sequence else None
     time_ns = None if times is None else times[index]

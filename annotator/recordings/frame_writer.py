@@ -38,12 +38,7 @@ SAME_UP_RAD = np.deg2rad(2.0)
 
 
 class FrameWriter:
-    """Writes the frames of one camera to a folder. A frame's image is written last and makes the frame valid.
-
-    Attributes:
-        folder: the output folder, which exists.
-        frames: number of frames written.
-    """
+    """Writes the frames of one camera to a folder, which exists. An image is written last and makes its frame valid."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -53,11 +48,7 @@ class FrameWriter:
         self._up: Float64[np.ndarray, "3"] | None = None
 
     def add(self, frame: Frame, timestamp_ns: int) -> str:
-        """Writes a frame and returns its key.
-
-        Raises:
-            RecordingError: the camera differs from that of the first frame, or writing fails.
-        """
+        """Writes a frame and returns its key; RecordingError: the camera has changed, or writing fails."""
         key = f"{self.frames:06d}"
         try:
             if self._camera is None:
@@ -113,11 +104,7 @@ class FrameWriter:
 
 
 def trim(folder: Path) -> int:
-    """Removes the incomplete last frame of a killed writer and returns the number of complete frames.
-
-    Raises:
-        OSError: the folder cannot be read or changed.
-    """
+    """Removes the incomplete last frame of a killed writer and returns the number of complete frames."""
     complete = {path.stem for path in (folder / COLOR).glob("*.jpg")} if (folder / COLOR).is_dir() else set()
     parts = [*folder.glob(f"{DEPTH}/*"), *folder.glob(f"{CLOUDS}/*"), *folder.glob(f"{COLOR}/*")]
     for path in parts:

@@ -44,7 +44,6 @@ class Levels:
     high: float
 
     def with_all(self, others: list[Levels]) -> Levels:
-        """Returns the levels that hold these and the others."""
         both = [self, *others]
         return Levels(min(each.low for each in both), max(each.high for each in both))
 
@@ -68,7 +67,6 @@ def pixels_as_eight_bits(pixels: np.ndarray, levels: Levels) -> UInt8[np.ndarray
 
 @lru_cache(maxsize=64)
 def _of_folder(folder: Path, suffix: str, changed_ns: int) -> list[Levels]:
-    """Returns the levels of the first images of a folder that have more than 8 bits."""
     found = []
     for path in files_like(folder / f"any{suffix}")[:FIRST]:
         # a damaged one is told by its own frame
@@ -89,7 +87,6 @@ class ColorImage:
     exif_orientation: int = UPRIGHT
 
     def frame(self, key: str, i: int, camera: Camera, cloud: PointCloud, **more: Any) -> Frame:
-        """Returns the frame of this image; `more` are further fields of it."""
         return Frame(key, i, camera, self.rgb, cloud, exif_orientation=self.exif_orientation, **more)
 
 
@@ -127,7 +124,6 @@ def _colors(path: Path) -> tuple[bytes, np.ndarray]:
 
 
 def read_depth(path: Path) -> UInt16[np.ndarray, "h w"]:
-    """Reads a depth image in its raw units."""
     return _plane(path, np.uint16, "a depth image", "save the sensor's depth as a 16-bit grey PNG, millimetres")
 
 
@@ -138,7 +134,6 @@ FAR_M, FAR_SHARE = 8.192, 0.95
 
 
 def decode_depth(raw: UInt16[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """Returns the metres of a SUN RGB-D depth image."""
     return in_metres(raw >> np.uint16(3) | raw << np.uint16(13), 1000.0)
 
 
@@ -153,7 +148,6 @@ def looks_rotated(raw: UInt16[np.ndarray, "h w"], depth_scale: float) -> bool:
 
 
 def read_confidence(path: Path) -> UInt8[np.ndarray, "h w"]:
-    """Reads an image of the depth's confidence."""
     return _plane(path, np.uint8, "an image of confidence", REMEDY)
 
 
@@ -172,7 +166,6 @@ def _plane(path: Path, dtype: type[np.generic], what: str, remedy: str) -> np.nd
 
 
 def _decoded(path: Path, flags: int, give_points: bool = False) -> tuple[bytes, np.ndarray]:
-    """Returns a file's bytes and its pixels."""
     with file_errors(path, REMEDY):
         data = read_frame_file(path)
         return data, decode_image(data, flags, give_points=give_points)
@@ -187,15 +180,9 @@ THREADS = 4
 
 
 class VideoFile:
-    """A video file's images, by number in the order of display. It can be used by several threads.
-
-    Attributes:
-        path: the file.
-        size: width and height, pixels.
-    """
+    """A video file's images, by number in the order of display. It can be used by several threads."""
 
     def __init__(self, path: Path) -> None:
-        """Lists the images, without decoding them."""
         import av
 
         self.path = path

@@ -83,7 +83,6 @@ class KittiCalibration:
         return RigidTransform.from_components(self.T_rect_lidar[:, 3] + self.shift_m, rotation)
 
     def camera(self, width_px: int, height_px: int) -> Camera:
-        """Returns colour camera 2 for an image of this size."""
         return pinhole(self.matrix, width_px, height_px)
 
     def to_camera(self, xyz_lidar_m: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
@@ -94,7 +93,6 @@ class KittiCalibration:
 
 
 def read_calibration(path: Path) -> KittiCalibration:
-    """Reads the calibration of a KITTI object or tracking file."""
     rows = _read_rows(path)
     P2 = _matrix(path, rows, ("P2",), (3, 4))
     R0 = _matrix(path, rows, ("R0_rect", "R_rect"), (3, 3))
@@ -111,7 +109,6 @@ def read_raw_calibration(cameras: Path, lidar: Path) -> KittiCalibration:
 
 
 def calibration_text(path: Path) -> str:
-    """Returns the text of a calibration file."""
     if not path.exists():
         raise FrameError(path, "the calibration is missing", "copy it from the data set")
     with file_errors(path, REMEDY, "the calibration: "):
@@ -119,7 +116,6 @@ def calibration_text(path: Path) -> str:
 
 
 def _read_rows(path: Path) -> dict[str, list[str]]:
-    """Returns the values of each line of a calibration file, by the name before them."""
     rows = {}
     for line in calibration_text(path).splitlines():
         name, *values = line.replace(":", " ", 1).split() or [""]
@@ -171,11 +167,8 @@ def visible_cloud(
 ) -> PointCloud:
     """Returns the points (n, 3) in the camera frame that project inside the image.
 
-    Without colours of their own, they have those of the nearest pixels.
-
-    Args:
-        path: of the cloud, for the message if no point is seen.
-        raw: the same points, with reflectances and colours.
+    Without colours of their own, they have those of the nearest pixels. `path` and `remedy` are for the message if no
+    point is seen.
     """
     in_front = xyz_m[:, 2] > NEAREST_Z_M
     px = project(camera, xyz_m[in_front])
@@ -198,13 +191,7 @@ MOST_DIGITS = 10
 
 @dataclass(frozen=True, eq=False)
 class KittiFolder(Scanned):
-    """A `Recording` of image and scan pairs.
-
-    Attributes:
-        folder: of the frames and labels: `path`, or its `training` subfolder.
-        images, scans: their folders, relative to `folder`.
-        reader: reads the scans.
-    """
+    """A `Recording` of image and scan pairs, in two folders relative to `folder`: `path`, or its `training`."""
 
     folder: Path
     images: str
@@ -231,7 +218,6 @@ class KittiFolder(Scanned):
         return Frame(key, i, camera, rgb, cloud, None, UP, calibration.T_camera_label, self._time_of(i))
 
     def scan(self, i: int) -> Scan:
-        """Reads the whole scan of frame `i`."""
         key = self.key(i)
         calibration = self.calibration(key)
         return Scan(
@@ -267,7 +253,6 @@ class KittiFolder(Scanned):
 
 
 def keys_in(root: Path, images: str, scans: str) -> tuple[str, ...] | None:
-    """Returns the keys of the frames of two folders in `root`; None if these are not there."""
     if not ((root / images).is_dir() and (root / scans).is_dir()):
         return None
     expected = f"{images}/KEY.png and {scans}/KEY.bin"
@@ -377,10 +362,7 @@ def open_kitti_raw(path: Path, options: ReaderOptions) -> KittiRaw | None:
 class KittiTracking(KittiFolder, Scenes):
     """A `Recording` of one KITTI drive; its times count from the drive's frame 0.
 
-    Attributes:
-        scene: name of the drive within a data set; "" for a folder of one drive.
-        scenes: names of all drives of the data set.
-        notes: what was left out.
+    `scene` is the drive's name within a data set, "" for a folder of one drive.
     """
 
     scene: str = ""
@@ -424,7 +406,6 @@ def open_kitti_tracking(path: Path, options: ReaderOptions) -> KittiTracking | N
 
 
 def _drives(root: Path) -> list[str]:
-    """Returns the drives of a data set that have a calibration."""
     if not (root / IMAGES).is_dir():
         return []
     return sorted(file.stem for file in (root / "calib").glob("*.txt") if (root / IMAGES / file.stem).is_dir())

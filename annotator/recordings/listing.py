@@ -35,8 +35,7 @@ def path_errors(path: Path) -> AbstractContextManager[None]:
 def file_errors(path: Path, remedy: str, what: str = "", kind: type[RecordingError] = FrameError) -> Iterator[None]:
     """Converts what is wrong with a file (OSError, ValueError) into a FrameError, or a RecordingError, that names it.
 
-    Args:
-        what: of the file is wrong, such as "frame 7: ".
+    `what` of the file is wrong, such as "frame 7: ".
     """
     try:
         yield
@@ -54,7 +53,6 @@ def file_errors(path: Path, remedy: str, what: str = "", kind: type[RecordingErr
 
 
 def require_size(path: Path, image: np.ndarray, size: tuple[int, int], whose: str, remedy: str) -> None:
-    """Requires that an image has a size (width, height), `whose` it is."""
     height, width = image.shape[:2]
     if (width, height) != size:
         raise FrameError(path, f"the image is {width} x {height} pixels, but {whose} {size[0]} x {size[1]}", remedy)

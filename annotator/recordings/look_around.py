@@ -96,12 +96,7 @@ class Scanned(Recording):
 
 
 def level_turn(up: Float64[np.ndarray, "3"], ahead: Float64[np.ndarray, "3"]) -> Rotation:
-    """Returns the turn to x ahead (made horizontal), y left, z up.
-
-    Args:
-        up: unit vector against gravity.
-        ahead: another direction.
-    """
+    """Returns the turn to x ahead (made horizontal), y left, z up; `up` is a unit vector, `ahead` another direction."""
     z, x, y = right_handed_axes(up, ahead).T
     return Rotation.from_matrix(np.stack([x, y, z]))
 
@@ -118,11 +113,8 @@ AHEAD = "around-000"
 class LookAround(Scanned, RigCamera):
     """A `Recording` of one virtual camera at the LiDAR of another recording.
 
-    Attributes:
-        base: the recording of the LiDAR.
-        cameras: the names of all virtual cameras.
-        camera: this camera's name: `around-060` looks 60 degrees to the left of ahead.
-        others: a note on the other cameras; none if this one was chosen.
+    `camera` is its name: `around-060` looks 60 degrees to the left of ahead. `others` is a note on the other cameras;
+    none if this one was chosen.
     """
 
     base: Scanned
@@ -164,11 +156,9 @@ class LookAround(Scanned, RigCamera):
         return RigidTransform.from_rotation(self._R_camera_level().inv())
 
     def scan(self, i: int) -> Scan:
-        """Reads the whole scan of frame `i`."""
         return self.base.scan(i)
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`."""
         return virtual_frame(
             self.base.scan(i), self.key(i), i, virtual_camera(len(self.cameras)), self._R_camera_level()
         )
@@ -193,7 +183,6 @@ def camera_names(count: int) -> tuple[str, ...]:
 
 
 def virtual_camera(count: int) -> Camera:
-    """Returns the intrinsics of each of `count` virtual cameras."""
     focal_px = WIDTH_PX / 2 / tan(pi / count + OVERLAP / 2)
     height_px = round(2 * focal_px * tan(VERTICAL_VIEW / 2))
     return Camera(WIDTH_PX, height_px, focal_px, focal_px, (WIDTH_PX - 1) / 2, (height_px - 1) / 2)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import weakref
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -42,11 +42,6 @@ def open_mirror(url: str, folder: Path, limit_bytes: int, options: ReaderOptions
         folder: parent folder of the local copies. A copy is removed with its recording; copies of killed processes are
             removed when the next one is made.
         limit_bytes: maximum size of the local copy at any time.
-        options: how the recording is read.
-
-    Raises:
-        RecordingError: the storage cannot be reached, has no files there, or a single-file recording does not fit.
-        UnknownFormatError: no reader recognises the recording.
     """
     with _storage_errors(url):
         from fsspec.core import url_to_fs
@@ -62,11 +57,11 @@ def open_mirror(url: str, folder: Path, limit_bytes: int, options: ReaderOptions
     with ExitStack() as stack:
         place = stack.enter_context(unfinished_folder(folder, "recording"))
         store = _Store(url, system, place if is_file else place / name, files, limit_bytes)
+        store.empty(files)
         for path, (_, size) in files.items():
-            store.empty(path)
-            is_small = "/" not in path and path.lower().endswith(DESCRIPTIONS) and size <= LARGEST_DESCRIPTION_BYTES
-            if is_file or is_small or ("/" not in path and path.lower().endswith(WHOLE)):
-                store.keep(path)
+            is_small = path.lower().endswith(DESCRIPTIONS) and size <= LARGEST_DESCRIPTION_BYTES
+            if is_file or ("/" not in path and (is_small or path.lower().endswith(WHOLE))):
+                store.fetch([path])
         with store.url_in_errors():
             opened = open_recording(place / name, options)
         keys = {normal(key): key for key in opened.keys}
@@ -84,11 +79,7 @@ def open_mirror(url: str, folder: Path, limit_bytes: int, options: ReaderOptions
 class Mirror(Recording):
     """A `Recording` in remote storage; its files are downloaded when frames are read. `path` is the local copy.
 
-    Attributes:
-        opened: the recording of the copy.
-        removed: removes the copy, also when it is garbage.
-        of_key: the files of each frame, relative to the copy's folder.
-        shared: those of all frames.
+    `removed` removes the copy, also when it is garbage; `of_key` has the files of each frame, relative to its folder.
     """
 
     opened: Recording
@@ -118,11 +109,9 @@ class Mirror(Recording):
         return self.opened.notes
 
     def frame(self, i: int) -> Frame:
-        """Reads frame number `i`, 0-based."""
         key = self.key(i)
-        for path in self.shared:
-            self.store.keep(path)
-        self.store.fill(key, self.of_key.get(key, []))
+        self.store.fetch(self.shared)
+        self.store.fetch(self.of_key.get(key, []), key)
         with self.store.url_in_errors():
             return self.opened.frame(i)
 
@@ -136,14 +125,10 @@ class _Store:
     """The files of a local copy, downloaded or empty.
 
     Attributes:
-        url: the recording's URL.
-        system: fsspec's file system.
-        folder: the copy's folder.
         files: path relative to the folder -> path in the storage, and size in bytes.
-        limit_bytes: maximum of `used_bytes`.
-        kept: files that stay downloaded.
-        filled: downloaded files by frame key, least recently used first.
-        used_bytes: bytes downloaded.
+        limit_bytes, used_bytes: of what is downloaded.
+        present: downloaded files.
+        filled: those that may be emptied, by frame key, least recently used first.
     """
 
     url: str
@@ -151,29 +136,49 @@ class _Store:
     folder: Path
     files: dict[str, tuple[str, int]]
     limit_bytes: int
-    kept: set[str] = field(default_factory=set)
-    filled: OrderedDict[str, list[str]] = field(default_factory=OrderedDict)
     used_bytes: int = 0
+    present: set[str] = field(default_factory=set)
+    filled: OrderedDict[str, list[str]] = field(default_factory=OrderedDict)
 
-    def empty(self, path: str) -> None:
-        """Makes a file empty."""
-        place = self.folder / path
-        place.parent.mkdir(parents=True, exist_ok=True)
-        place.write_bytes(b"")
+    def empty(self, paths: Iterable[str]) -> None:
+        for path in paths:
+            place = self.folder / path
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.write_bytes(b"")
 
-    def keep(self, path: str) -> None:
-        """Downloads a file permanently."""
-        if path not in self.kept:
-            self._copy([path])
-            self.kept.add(path)
-
-    def fill(self, key: str, paths: list[str]) -> None:
-        """Downloads the files of a frame; empties those of the least recently used frames if there is no room."""
-        if key not in self.filled:
-            missing = [path for path in paths if path not in self.kept]
-            self._copy(missing)
+    def fetch(self, paths: Iterable[str], key: str | None = None) -> None:
+        """Downloads files: those of a frame until others need the room, without a key for good."""
+        missing = [path for path in paths if path not in self.present]
+        if key is not None and key in self.filled:
+            self.filled.move_to_end(key)
+        if not missing:
+            return
+        needed = sum(self.files[path][1] for path in missing)
+        while self.filled and self.used_bytes + needed > self.limit_bytes:
+            oldest = self.filled.popitem(last=False)[1]
+            self.used_bytes -= sum(self.files[path][1] for path in oldest)
+            self.present.difference_update(oldest)
+            self.empty(oldest)
+        if self.used_bytes + needed > self.limit_bytes:
+            raise RecordingError(
+                f"{self.url}: no room in the local copy for {', '.join(missing[:3])} ({needed / 1e6:.1f} MB; limit "
+                f"{self.limit_bytes / 1e6:.1f} MB, used {self.used_bytes / 1e6:.1f} MB); raise --cache-mb"
+            )
+        try:
+            for path in missing:
+                with _storage_errors(f"{self.url}/{path}"):
+                    self.system.get_file(self.files[path][0], str(self.folder / path))
+        except BaseException:  # files that belong to no entry of `filled` would never be emptied
+            self.empty(missing)
+            raise
+        for path in missing:
+            # some web servers do not report it in listings
+            size = (self.folder / path).stat().st_size
+            self.files[path] = (self.files[path][0], size)
+            self.used_bytes += size
+        self.present.update(missing)
+        if key is not None:
             self.filled[key] = missing
-        self.filled.move_to_end(key)
 
     @contextmanager
     def url_in_errors(self) -> Iterator[None]:
@@ -183,31 +188,6 @@ class _Store:
         except RecordingError as error:
             error.args = (str(error).replace(str(self.folder), self.url),)
             raise
-
-    def _copy(self, paths: list[str]) -> None:
-        needed = sum(self.files[path][1] for path in paths)
-        while self.filled and self.used_bytes + needed > self.limit_bytes:
-            for path in self.filled.popitem(last=False)[1]:
-                self.used_bytes -= self.files[path][1]
-                self.empty(path)
-        if self.used_bytes + needed > self.limit_bytes:
-            raise RecordingError(
-                f"{self.url}: no room in the local copy for {', '.join(paths[:3])} ({needed / 1e6:.1f} MB; limit "
-                f"{self.limit_bytes / 1e6:.1f} MB, used {self.used_bytes / 1e6:.1f} MB); raise --cache-mb"
-            )
-        try:
-            for path in paths:
-                with _storage_errors(f"{self.url}/{path}"):
-                    self.system.get_file(self.files[path][0], str(self.folder / path))
-        except BaseException:  # files that belong to no entry of `filled` would never be emptied
-            for path in paths:
-                self.empty(path)
-            raise
-        for path in paths:
-            # some web servers do not report it in listings
-            size = (self.folder / path).stat().st_size
-            self.files[path] = (self.files[path][0], size)
-            self.used_bytes += size
 
 
 @contextmanager

@@ -62,13 +62,10 @@ Row = TypeVar("Row", bound=Record)
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One image or scan.
+    """One image, or a scan (of size 0).
 
-    Attributes:
-        sample: token of the annotated moment that it belongs to; None between those moments (a sweep).
-        file: relative to the dataset's root.
-        ego, mount: the vehicle's pose at that time, and the sensor's on the vehicle.
-        width_px, height_px: size of the image; 0 for a scan.
+    `sample` is the token of the annotated moment that it belongs to; None between those moments (a sweep). `ego` and
+    `mount` are the poses of the vehicle at that time, and of the sensor on it.
     """
 
     sample: str | None
@@ -84,7 +81,6 @@ class Shot:
         return self.file.rpartition("/")[0]
 
     def T_global_sensor(self) -> RigidTransform:
-        """Returns the sensor's pose when it was taken."""
         return pose(self.ego.translation, self.ego.rotation) * pose(self.mount.translation, self.mount.rotation)
 
 
@@ -99,7 +95,6 @@ def table_folders(path: Path) -> list[Path]:
 
 
 def scene_names(tables: Path) -> dict[str, str]:
-    """Returns the token of each scene by its name, in the order of the table."""
     names: dict[str, str] = {}
     for row in _rows(tables, Scene):
         if row.name in names:
@@ -188,7 +183,6 @@ def _has_tables(folder: Path) -> bool:
 
 
 def _rows(tables: Path, model: type[Row], field: str = "", wanted: Collection[str] = ()) -> list[Row]:
-    """Returns the rows of a table; with `field`, those with one of the `wanted` values in it."""
     path = tables / f"{_table(model)}.json"
     with file_errors(path, REMEDY, kind=RecordingError):
         return list(find_rows(path, model, field, wanted) if field else read_rows(path, model))
@@ -223,12 +217,8 @@ class NuScenes(Scanned, RigCamera, Scenes):
     """A `Recording` of a scene's samples and sweeps from one camera, in time order.
 
     Attributes:
-        tables: the folder of the tables.
-        scenes: names of all scenes of the dataset.
-        scene, camera: names of the scene and of the camera's channel; "" for the virtual one of a scene without images.
-        cameras: names of the scene's cameras.
+        camera: the camera's channel; "" for the virtual one of a scene without images.
         moments: image and scan of each frame; without images, twice the scan.
-        notes: what was left out.
     """
 
     tables: Path
@@ -260,7 +250,6 @@ class NuScenes(Scanned, RigCamera, Scenes):
 
     @cached_property
     def samples(self) -> frozenset[str]:
-        """The tokens of all annotated moments."""
         return frozenset(image.sample for image, _ in self.moments if image.sample is not None)
 
     def files(self, i: int) -> tuple[Path, ...]:
@@ -308,7 +297,6 @@ class NuScenes(Scanned, RigCamera, Scenes):
         )
 
     def moment(self, i: int) -> str:
-        """Returns the name of the scan's file."""
         self.key(i)
         return PurePosixPath(self.moments[i][1].file).name
 

@@ -175,11 +175,7 @@ def open_recording(path: Path, options: ReaderOptions = NO_OPTIONS) -> Recording
 
 
 def detect_format(path: Path) -> str | None:
-    """Returns the name of the format at `path`; None if no reader recognises it.
-
-    Raises:
-        RecordingError: the recording has no frames, or the path cannot be read.
-    """
+    """Returns the name of the format at `path`; None if no reader recognises it. Errors are as of `open_recording`."""
     for name, reader in READERS.items():
         with path_errors(path):
             if reader.is_at(path):
@@ -210,7 +206,6 @@ def _load(target: str) -> Any:
 
 
 def _explain(path: Path) -> str:
-    """Returns in one line what a path lacks, and where recordings are."""
     if not path.exists():
         return f"{path}: {missing_part(path)}; give the path of a recording"
     is_folder = path.is_dir()

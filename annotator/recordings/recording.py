@@ -59,7 +59,6 @@ class ReaderOptions(Strict):
     )
 
     def given(self) -> dict[str, Any]:
-        """The options that are set, by name."""
         return self.model_dump(exclude_none=True)
 
     def may_be(self, stored: ReaderOptions) -> bool:
@@ -146,11 +145,9 @@ class Recording(ABC):
 
     @cached_property
     def indices(self) -> dict[str, int]:
-        """The number of each frame, by its key."""
         return {key: i for i, key in enumerate(self.keys)}
 
     def __len__(self) -> int:
-        """The number of frames, including broken ones."""
         return len(self.keys)
 
     def files(self, i: int) -> tuple[Path, ...]:

@@ -83,15 +83,7 @@ class GravityFile(Strict):
 
 @dataclass(frozen=True, eq=False)
 class RgbdCamera:
-    """A camera file's content.
-
-    Attributes:
-        path: the file.
-        camera: the camera.
-        depth_scale: depth units per metre.
-        depth_encoding: as in the file.
-        T_color_depth, T_camera_cloud: from the frame of the depth camera, or of the clouds, to the colour camera's.
-    """
+    """A camera file's content; the transforms are from the frame of the depth camera, or of the clouds."""
 
     path: Path
     camera: Camera
@@ -102,7 +94,6 @@ class RgbdCamera:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of its images, pixels."""
         return self.camera.width_px, self.camera.height_px
 
 
@@ -153,7 +144,6 @@ def read_camera(path: Path, depth_scale: float = MM_PER_M) -> RgbdCamera:
 
 
 def depth_metres(path: Path, raw: UInt16[np.ndarray, "h w"], camera: RgbdCamera) -> Float32[np.ndarray, "h w"]:
-    """Returns the metres of the depth image at `path`."""
     if camera.depth_encoding == "sunrgbd":
         return decode_depth(raw)
     if camera.depth_encoding is None and looks_rotated(raw, camera.depth_scale):
@@ -208,7 +198,6 @@ def read_up(path: Path) -> Float64[np.ndarray, "3"] | None:
 
 
 def unit_up(path: Path, up: tuple[float, ...], remedy: str) -> Float64[np.ndarray, "3"]:
-    """Returns a direction in a file as a unit vector."""
     length = np.linalg.norm(up)
     if length < 1 / LARGEST:
         raise FrameError(path, "up has length 0", remedy)
@@ -224,11 +213,6 @@ class RgbdFolder(Recording):
     """A `Recording` of an Open3D RGB-D folder.
 
     The frames are assumed to be in time order, as is the convention.
-
-    Attributes:
-        color: the folder of the colour images.
-        times_ns: capture times from `timestamps.csv`; None without that file.
-        told: what was found in that file.
     """
 
     color: Path
@@ -292,9 +276,8 @@ def read_images(
 ) -> tuple[ColorImage, PointCloud, Float32[np.ndarray, "h w"]]:
     """Reads a colour and a depth image of a folder.
 
-    Returns:
-        The colour image; the depth image's cloud, with `pixel_index` if it is registered; and the depth in the colour
-        image's pixels, metres.
+    Returns the colour image; the depth image's cloud, with `pixel_index` if it is registered; and the depth in the
+    colour image's pixels, metres.
     """
     image = read_color_image(color_path, color.size, has_depth=True)
     rgb = image.rgb

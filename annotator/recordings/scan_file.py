@@ -115,12 +115,7 @@ KITTI_FOLDERS = ("velodyne", "velodyne_points")
 
 @dataclass(frozen=True, eq=False)
 class Scans:
-    """The `.bin` files of a recording.
-
-    Attributes:
-        columns: the option `columns`: values per point of all files, which are not examined then; None = not given.
-        scale: of their reflectance.
-    """
+    """The `.bin` files of a recording; with the option `columns`, they are not examined."""
 
     columns: int | None = None
     scale: CommonScale = field(default_factory=CommonScale)

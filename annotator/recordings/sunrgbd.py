@@ -64,17 +64,14 @@ class SunCalibration:
     """The camera of one frame.
 
     Attributes:
-        path: the file, for messages.
         matrix: (3, 3) K, pixels counted from 1.
         T_camera_upright: from upright depth to the camera.
     """
 
-    path: Path
     matrix: Float64[np.ndarray, "3 3"]
     T_camera_upright: RigidTransform
 
     def camera(self, width_px: int, height_px: int) -> Camera:
-        """Returns the camera for an image of this size."""
         return pinhole(self.matrix - FIRST_PIXEL, width_px, height_px)
 
     @property
@@ -107,7 +104,7 @@ def _calibration(path: Path, K: np.ndarray, R: np.ndarray, of_tilt: Path | None 
         raise FrameError(of_tilt or path, "the tilt is not a rotation", REMEDY)
     if not is_pinhole(K):
         raise FrameError(path, "K is not a pinhole camera (fx 0 cx / 0 fy cy / 0 0 1)", REMEDY)
-    return SunCalibration(path, K, RigidTransform.from_rotation(Rotation.from_matrix(R.T)))
+    return SunCalibration(K, RigidTransform.from_rotation(Rotation.from_matrix(R.T)))
 
 
 # A cloud is organised if its points project to pixel centres within this distance.
@@ -116,11 +113,7 @@ ON_PIXEL_PX = 0.05
 
 @dataclass(frozen=True, eq=False)
 class SunRgbdExtracted(Recording):
-    """A `Recording` of VoteNet's layout.
-
-    Attributes:
-        clouds: the folder of the clouds.
-    """
+    """A `Recording` of VoteNet's layout."""
 
     clouds: Path
     format: ClassVar[str] = "sunrgbd_extracted"
@@ -174,7 +167,6 @@ def _is_kitti(path: Path) -> bool:
 
 
 def _read_mat(path: Path) -> RawCloud:
-    """Reads the cloud of a MATLAB file of version 5 to 7."""
     with file_errors(path, f"extract it again from the data set, or raise {VARIABLE}"):
         table = read_mat(path, "instance", frame_memory() // 2)
         if not isinstance(table, np.ndarray) or table.ndim != 2 or table.shape[1] != 6:
@@ -222,18 +214,13 @@ KEY_SEPARATOR = "__"
 
 @dataclass(frozen=True, eq=False)
 class SunRgbdScenes(Recording):
-    """A `Recording` of raw scenes, unrelated to each other. A frame's key is its scene's path, with `__` for `/`.
-
-    Attributes:
-        folders: the scenes' folders by key; strings, since creating ten thousand Paths is slow.
-    """
+    """A `Recording` of raw scenes, unrelated to each other. A frame's key is its scene's path, with `__` for `/`."""
 
     folders: dict[str, str] = field(repr=False)
     format: ClassVar[str] = "sunrgbd_scenes"
     is_sequence: ClassVar[bool] = False
 
     def scene(self, key: str) -> Path:
-        """Returns the folder of a frame."""
         return Path(self.folders[key])
 
     def files(self, i: int) -> tuple[Path, Path, Path, Path]:
@@ -276,7 +263,6 @@ def open_sunrgbd_scenes(path: Path) -> SunRgbdScenes | None:
 
 
 def _scenes(root: str, levels: int) -> Iterator[tuple[str, str]]:
-    """Yields key and folder of all scenes below a folder."""
     waiting = [(root, "", 1)]
     while waiting:
         folder, prefix, level = waiting.pop()

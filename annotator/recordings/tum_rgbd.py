@@ -54,12 +54,7 @@ DECIMAL_COMMA = re.compile(r"\d+,\d+\s")
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Orientations of the colour camera in TUM's world, in time order.
-
-    Attributes:
-        times_ns: (n,)
-        quaternions: (n, 4) x y z w, camera to world.
-    """
+    """Orientations of the colour camera in TUM's world, in time order: (n, 4) x y z w, camera to world."""
 
     times_ns: Int64[np.ndarray, "n"]
     quaternions: Float64[np.ndarray, "n 4"]
@@ -74,14 +69,9 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class TumRgbd(Recording):
-    """A `Recording` in TUM's format. Frames are named by their colour images.
+    """A `Recording` in TUM's format. Frames are named by their colour images, and have the times of these.
 
-    Attributes:
-        images: the colour and the depth image of each frame, relative to the folder.
-        times_ns: the times of the colour images.
-        tolerance_ns: largest difference in time of an image and its partner.
-        unpaired: number of colour images without a depth image within the tolerance.
-        poses: None if the direction of gravity is not known.
+    `images` are the colour and the depth image of each frame, relative to the folder.
     """
 
     images: tuple[tuple[str, str], ...] = field(repr=False)
@@ -166,7 +156,6 @@ def open_tum_rgbd(path: Path, options: ReaderOptions) -> TumRgbd | None:
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
-    """Returns the numbers and the texts of all lines that are neither blank nor comments."""
     with file_errors(path, "correct or copy it", kind=RecordingError):
         lines = read_text_file(path, TABLE_BYTES).split("\n")
     rows = [(number, line.strip()) for number, line in enumerate(lines, 1)]
@@ -223,7 +212,6 @@ def _pairs(times: Int64[np.ndarray, "n"], others: Int64[np.ndarray, "m"], tolera
 
 
 def _poses(path: Path) -> Poses | None:
-    """Reads the poses; None if there are none."""
     lines = _lines(path)
     rows = [
         (_time_ns(path, number, SEPARATOR.split(line)[0]), _quaternion(path, number, line)) for number, line in lines

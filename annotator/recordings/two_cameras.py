@@ -46,10 +46,7 @@ def registered(
 
     Args:
         depth_m: z in the depth camera's frame, metres; zero, negative, NaN and infinite values mean no measurement.
-        depth_camera: of the depth image's size.
-        T_color_depth: from the depth camera's frame to the colour camera's, metres.
-        rgb: the colour image.
-        color_camera: of the colour image's size.
+        depth_camera, color_camera: of the images' sizes.
 
     Returns:
         The cloud in the colour camera's frame, in the order of the depth image's pixels. Each point has the colour of
@@ -80,11 +77,8 @@ def seen_points(
 ) -> tuple[Float32[np.ndarray, "n 3"], Int32[np.ndarray, "n"]]:
     """Returns the points of `registered`, and the pixel of each, `v * width + u` in the colour image.
 
-    The image itself is not needed, so it can be decoded in parallel.
-
-    Args:
-        depth_m, depth_camera, T_color_depth, color_camera: as for `registered`.
-        reach: calibrated radius of the depth lens, as distance of (x/z, y/z) from the axis.
+    The image itself is not needed, so it can be decoded in parallel. `reach` is the calibrated radius of the depth
+    lens, as distance of (x/z, y/z) from the axis.
     """
     require_image_size(depth_camera, depth_m)
     pose = T_color_depth.as_matrix()

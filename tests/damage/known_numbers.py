@@ -25,6 +25,7 @@ from bag_writer import BagWriter, structured
 from dataset_samples import make_item, make_label, write
 from ros_takes import MS, SIZE, START_NS, K
 from scipy.spatial.transform import Rotation
+from small_recordings import put
 
 from annotator.formats.box_files import write_boxes
 from annotator.formats.table import BoxFormat, FlatFormat
@@ -203,11 +204,6 @@ def read_flat(format: FlatFormat, folder: Path) -> Reading:
 def png(pixels: np.ndarray) -> bytes:
     """A PNG file of an image in RGB order, or of one channel."""
     return cv2.imencode(".png", pixels[..., ::-1] if pixels.ndim == 3 else pixels)[1].tobytes()
-
-
-def put(path: Path, content: bytes | str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 def ply(form: str, n: Numbers) -> bytes:

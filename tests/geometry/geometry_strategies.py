@@ -1,10 +1,10 @@
-"""Hypothesis strategies for boxes, rotations, cameras and transforms."""
+"""Hypothesis strategies for boxes, rotations and cameras."""
 
 from __future__ import annotations
 
 import numpy as np
 from hypothesis import strategies as st
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
 from annotator.types import Camera, OrientedBox
 
@@ -26,11 +26,6 @@ def rotations(draw: st.DrawFn) -> Rotation:
 def boxes(draw: st.DrawFn, reach: float = 1.0) -> OrientedBox:
     size = np.array(draw(st.tuples(*[st.floats(0.2, 2.0)] * 3)))
     return OrientedBox.from_parts(draw(vectors(reach)), draw(rotations()).as_matrix(), size)
-
-
-@st.composite
-def rigid_transforms(draw: st.DrawFn) -> RigidTransform:
-    return RigidTransform.from_components(draw(vectors(10.0)), draw(rotations()))
 
 
 @st.composite

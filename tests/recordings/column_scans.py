@@ -7,7 +7,6 @@ gives the columns after x, y and z.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,16 +24,8 @@ TEMPLATES: dict[int, tuple[str, ...]] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class MadeSet:
-    """The contents of scans of one layout, and the floats per point."""
-
-    scans: tuple[bytes, ...]
-    columns: int
-
-
-def make_set(seed: int) -> MadeSet:
-    """Draws a set of scans of 3 to 8 columns."""
+def make_set(seed: int) -> tuple[list[bytes], int]:
+    """Draws the contents of scans of one layout, of 3 to 8 columns, and the number of columns."""
     rng = np.random.default_rng(seed)
     columns = int(rng.integers(3, 9))
     extra, sensor = str(rng.choice(TEMPLATES[columns])).split(), SENSORS[rng.integers(len(SENSORS))]
@@ -47,7 +38,7 @@ def make_set(seed: int) -> MadeSet:
         "place": rng.choice(((0, 0, 0), (0, 0, 0), (4e5, 5e6, 300))),
         "clock": rng.choice((0.1, -0.1, 1e8)),
     }
-    return MadeSet(tuple(_scan(rng, *sensor(rng), extra, how) for _ in range(rng.integers(1, 7))), columns)
+    return [_scan(rng, *sensor(rng), extra, how) for _ in range(rng.integers(1, 7))], columns
 
 
 def _scan(rng: Rng, xyz: np.ndarray, ring: np.ndarray, extra: list[str], how: dict[str, Any]) -> bytes:

@@ -16,9 +16,10 @@ from cloud_samples import SCAN, camera_file, put_image
 from dataset_samples import write
 from kitti_samples import CAMERAS, LIDAR, OBJECT_CALIB, TIMES, TRACKING_CALIB
 from nuscenes_samples import small
+from rgbd_samples import png
 from scipy.io import savemat
 from sunrgbd_samples import IMAGE as SUN_IMAGE
-from sunrgbd_samples import RTILT, K, png, upright_points, write_scene
+from sunrgbd_samples import RTILT, K, upright_points, write_scene
 
 from annotator.formats.dataset_writing import DatasetItem
 from annotator.recordings import open_recording

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import cv2
 import numpy as np
+from rgbd_samples import png
 from scipy.spatial.transform import Rotation
 
 WIDTH, HEIGHT = 60, 40
@@ -25,10 +25,6 @@ def upright_points() -> tuple[np.ndarray, np.ndarray]:
     Z = DEPTH_MM[v, u] / 1000
     X, Y = (u + 1 - K[0, 2]) / K[0, 0] * Z, (v + 1 - K[1, 2]) / K[1, 1] * Z
     return np.stack([X, Z, -Y], axis=1) @ RTILT.T, IMAGE[v, u]
-
-
-def png(image: np.ndarray) -> bytes:
-    return cv2.imencode(".png", image)[1].tobytes()
 
 
 def write_scene(path: Path) -> None:

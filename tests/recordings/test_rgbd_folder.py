@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -67,11 +66,6 @@ def test_depth_scale_and_distortion_are_those_of_the_camera_file(folder: Path, d
     assert frame.camera.distortion == tuple(more["distortion"])
     v, u = np.divmod(frame.cloud.pixel_index, WIDTH)
     np.testing.assert_allclose(project(frame.camera, frame.cloud.xyz_m), np.stack([u, v], axis=1), atol=1e-3)
-
-
-def test_gravity_becomes_a_unit_vector(folder: Path):
-    (folder / "gravity.json").write_text('{"up": [0, -3, 4]}')
-    np.testing.assert_allclose(open_recording(folder).frame(0).up, [0, -0.6, 0.8])
 
 
 @pytest.mark.parametrize("place", [".", ".."])
@@ -143,13 +137,6 @@ def test_sun_rgbds_rotated_depth_is_noticed(folder: Path, depth: np.ndarray):
         camera = json.dumps(INTRINSICS | {"depth_encoding": encoding})
         (folder / "camera_intrinsic.json").write_text(camera)
         np.testing.assert_allclose(open_recording(folder).frame(0).depth_m, expected, atol=1e-5)
-
-
-def test_two_colour_images_of_one_frame_are_ambiguous(folder: Path, color: np.ndarray):
-    (folder / "color" / "000000.jpg").write_bytes(cv2.imencode(".jpg", color)[1].tobytes())
-    with pytest.raises(FrameError, match=r"ambiguous: the folder has 000000\.jpg, 000000\.png"):
-        open_recording(folder).frame(0)
-    assert open_recording(folder).frame(1).key == "000001"
 
 
 DEPTH_CAMERA = Camera(64, 48, 60.0, 61.0, 31.0, 23.5)

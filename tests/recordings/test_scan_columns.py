@@ -35,15 +35,15 @@ def put(folder: Path, name: str, columns: int, count: int = COUNT) -> Path:
 @given(st.integers(100_000, 200_000))
 @settings(max_examples=20, deadline=None)
 def test_made_up_scans_are_never_taken_for_others(seed: int):
-    made = make_set(seed)
-    for scan in made.scans:
-        assert weigh_columns(scan) in (made.columns, None)
+    scans, columns = make_set(seed)
+    for scan in scans:
+        assert weigh_columns(scan) in (columns, None)
 
 
 def test_most_made_up_scans_are_recognised():
     sets = [make_set(seed) for seed in range(300, 320)]
-    assert {made.columns for made in sets} == set(range(3, 9))
-    assert sum(weigh_columns(made.scans[0]) == made.columns for made in sets) >= 18
+    assert {columns for _, columns in sets} == set(range(3, 9))
+    assert sum(weigh_columns(scans[0]) == columns for scans, columns in sets) >= 18
 
 
 @pytest.mark.parametrize("name", OTHERS)

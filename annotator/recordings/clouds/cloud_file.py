@@ -74,11 +74,7 @@ def _is_compressed(data: bytes) -> bool:
 
 
 def decode(data: bytes) -> dict[str, np.ndarray]:
-    """Returns the columns of a file whose header was checked, in this process: coordinates also as they are stored.
-
-    Raises:
-        ValueError: it is damaged.
-    """
+    """Returns the columns of a file whose header was checked, in this process: coordinates also as they are stored."""
     import laspy
 
     # layers that are not needed stay compressed
@@ -111,7 +107,6 @@ COLUMNS = {3: "x y z", 4: "x y z reflectance", 6: "x y z red green blue"}
 
 
 def parse_npz(data: bytes) -> RawCloud:
-    """Parses the points, and the colours if there are any, of an `.npz` file."""
     try:
         with open_archive(io.BytesIO(data)) as archive:
             infos = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
@@ -132,13 +127,9 @@ def parse_npz(data: bytes) -> RawCloud:
 
 
 def read_array(file: IO[bytes], *, is_image: bool = False) -> np.ndarray:
-    """Returns the array of an `.npy` file, or of a member of an archive.
+    """Returns the array of an `.npy` file, or of a member of an archive; a ValueError says that it is damaged or large.
 
-    Args:
-        is_image: each value gives a point; otherwise, each row does.
-
-    Raises:
-        ValueError: it is damaged, too large, or has no numbers.
+    `is_image`: each value gives a point; otherwise, each row does.
     """
     with warnings.catch_warnings():
         # numpy warns about headers written by Python 2
@@ -187,8 +178,7 @@ CLOUD_SUFFIXES = (*PARSERS, SCAN_SUFFIX)
 def read_cloud(path: Path, scans: Scans | None = None) -> RawCloud:
     """Returns the valid points of a file with one of `CLOUD_SUFFIXES`, in its own frame, metres.
 
-    Args:
-        scans: reads `.bin` files, and has the scale of reflectance; None = this file alone decides.
+    `scans` reads `.bin` files, and has the scale of reflectance; None = this file alone decides.
     """
     if path.suffix.lower() == SCAN_SUFFIX:
         return (scans or Scans()).read(path)

@@ -57,7 +57,6 @@ class CloudCamera:
     """The camera of a folder's clouds.
 
     Attributes:
-        path: the calibration file, for messages.
         T_camera_cloud: from the clouds' own frame to the camera.
         up: unit vector against gravity in the camera frame; None if unknown.
         in_world: True if the clouds' frame is that of a map.
@@ -72,7 +71,6 @@ class CloudCamera:
     kitti: KittiCalibration | None = None
 
     def to_camera(self, raw: RawCloud) -> PointCloud:
-        """Returns a cloud in the camera frame."""
         transform = self.T_camera_cloud.apply if self.kitti is None else self.kitti.to_camera
         xyz_m = transform(raw.xyz_m)
         return PointCloud(xyz_m.astype(np.float32), rgb=raw.rgb, reflectance=raw.reflectance)
@@ -80,16 +78,7 @@ class CloudCamera:
 
 @dataclass(frozen=True, eq=False)
 class CloudFolder(Scanned):
-    """A `Recording` of a folder of point clouds, in time order; labels are in the clouds' own frame.
-
-    Attributes:
-        clouds: the folder of the cloud files.
-        images: the folder of the images; None without images.
-        times_ns: capture times from `timestamps.csv`; None without that file.
-        told: what was found in that file.
-        scans: reads the clouds that are `.bin` files.
-        given_origin: the option `origin`.
-    """
+    """A `Recording` of a folder of point clouds, in time order; labels are in the clouds' own frame."""
 
     clouds: Path
     images: Path | None

@@ -58,7 +58,6 @@ def point_colors(columns: Mapping[str, np.ndarray]) -> Colors | None:
 
 
 def depth_bits(highest: float) -> int:
-    """Returns the lowest of `DEPTHS` that holds a value."""
     return next((bits for bits in DEPTHS if highest < 2**bits), DEPTHS[-1])
 
 
@@ -95,7 +94,6 @@ def _finite(values: np.ndarray) -> Float[np.ndarray, "..."] | None:
 
 
 def _native(values: np.ndarray) -> np.ndarray:
-    """Returns values in the machine's byte order, NaNs with the same bits."""
     return values.astype(values.dtype.newbyteorder("="), copy=False)
 
 
@@ -142,7 +140,6 @@ class RawCloud:
 
     Attributes:
         xyz_m: (n, 3), n > 0, finite.
-        rgb: colours, or None.
         reflectance: 0..1, or None.
         scale: the reflectance that became 1, if only the values told; None = the file says it, or no reflectance.
         color_scale: the same for colours: the value that became 255.
@@ -160,7 +157,6 @@ class RawCloud:
         return self.scale or 0.0, self.color_scale or 0.0
 
     def select(self, keep: np.ndarray) -> RawCloud:
-        """Returns the points of a mask (n,), of which one is true at least."""
         return replace(
             self,
             xyz_m=self.xyz_m[keep],
@@ -260,11 +256,7 @@ def text_columns(data: bytes, offset: int, count: int, dtype: np.dtype, skipped:
     """Parses columns stored as text, one row per line, from a byte on; what follows the rows is ignored.
 
     Columns have the types of their header where their values fit these. Floats stay doubles: whole numbers beyond 24
-    bits (packed colours) would lose digits.
-
-    Args:
-        dtype: of a row; a field of several values is split into as many columns.
-        skipped: lines before the rows.
+    bits (packed colours) would lose digits. A field of several values is split into as many columns.
     """
     kinds = dict(_flat(dtype))
     # each value needs two bytes: impossible counts are rejected before memory is allocated
@@ -282,7 +274,6 @@ def text_columns(data: bytes, offset: int, count: int, dtype: np.dtype, skipped:
 
 
 def _flat(dtype: np.dtype) -> Iterator[tuple[str, np.dtype]]:
-    """Yields name and type of each value of a row."""
     for name in dtype.names or ():
         values = int(np.prod(dtype[name].shape))
         for number in range(values):
@@ -335,9 +326,7 @@ class CommonScale:
     ) -> RawCloud:
         """Returns a scan with the scales of its place, or its own, if its values are larger.
 
-        Args:
-            scans: returns the scans of the place, in a fixed order.
-            read: reads one of them; ValueError and FrameError = it is damaged, which its own frame tells.
+        `scans` are those of the place, in a fixed order; a damaged one (ValueError, FrameError) is told by its frame.
         """
         if not any(raw.scales):
             return raw

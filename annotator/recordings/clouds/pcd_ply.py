@@ -26,11 +26,7 @@ from annotator.recordings.clouds.columns import (
 
 
 def lzf_decompress(data: bytes, size: int) -> bytes:
-    """Returns the `size` decompressed bytes.
-
-    Raises:
-        ValueError: the data are damaged, or the decompressed size is not `size`.
-    """
+    """Returns the decompressed bytes; a ValueError says that they are damaged, or not `size` bytes."""
     out = bytearray()
     at, end = 0, len(data)
     try:
@@ -158,7 +154,6 @@ class _Element:
     has_lists: bool = False
 
     def dtype(self, order: str) -> np.dtype:
-        """Returns the type of a row."""
         try:
             return np.dtype([(name, order + kind) for name, kind in self.properties])
         except ValueError as error:  # two properties with the same name

@@ -44,15 +44,9 @@ NOWHERE = np.zeros(3)
 
 
 class Origin:
-    """The origin of one recording.
+    """The origin of one recording, `given` by the option, in the clouds' coordinates, or by the first readable cloud.
 
-    Args:
-        given: the option `origin`, x y z in the clouds' coordinates; None: the first readable cloud decides.
-        clouds: reads the recording's clouds in order; FrameError, ValueError and OSError = one is damaged, which its
-            own frame tells.
-
-    Attributes:
-        notes: what was found in the clouds that were read.
+    `notes` tell what was found in the clouds that were read; a damaged one is told by its own frame.
     """
 
     def __init__(self, given: Place | None, clouds: Callable[[], Iterable[Callable[[], RawCloud]]]) -> None:
@@ -86,10 +80,8 @@ class Origin:
 def without_strays(raw: RawCloud, place_m: Float64[np.ndarray, "3"]) -> RawCloud:
     """Returns a cloud in map coordinates without points that are no returns, but are not exactly (0, 0, 0) either.
 
-    Some drivers add the sensor's height to all points, or write -9999.
-
-    Args:
-        place_m: of the camera; zeros in a sensor's own coordinates, in which such points cannot be told.
+    Some drivers add the sensor's height to all points, or write -9999. `place_m` is the camera's; zeros in a sensor's
+    own coordinates, in which such points cannot be told.
     """
     if not place_m.any():
         return raw
@@ -148,12 +140,7 @@ NEAREST_M = 0.1
 
 
 def virtual_image(camera: Camera, cloud: PointCloud) -> UInt8[np.ndarray, "h w 3"]:
-    """Renders the points as squares, nearest in front, in their colours; without colours, coloured by distance.
-
-    Args:
-        camera: the virtual camera.
-        cloud: in the camera's frame.
-    """
+    """Renders the points as squares, nearest in front, in their colours; without colours, coloured by distance."""
     import cv2
 
     px = project(camera, cloud.xyz_m)
@@ -179,10 +166,8 @@ def virtual_image(camera: Camera, cloud: PointCloud) -> UInt8[np.ndarray, "h w 3
 
 
 def has_virtual_image(frame: Frame) -> bool:
-    """True if a frame's image is rendered from its cloud, so that the two cannot lie beside each other.
-
-    Args:
-        frame: as its recording gives it, without a correction.
+    """True if a frame's image, without a correction, is rendered from its cloud, so that the two cannot lie beside each
+    other.
     """
     return np.array_equal(frame.rgb, virtual_image(frame.camera, frame.cloud))
 

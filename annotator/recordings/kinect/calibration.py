@@ -18,7 +18,7 @@ from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, UInt16
-from pydantic import Field, FiniteFloat, ValidationError
+from pydantic import AliasPath, Field, FiniteFloat, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.projection import in_metres
@@ -59,14 +59,12 @@ class _Pose(FileRecord):
         return RigidTransform.from_components(np.array(self.Translation), rotation)
 
 
-class _Intrinsics(FileRecord):
-    ModelType: str
-    ModelParameters: Annotated[tuple[Small, ...], Field(min_length=14)]
-
-
 class _CameraPart(FileRecord):
     Purpose: str
-    Intrinsics: _Intrinsics
+    ModelType: str = Field(validation_alias=AliasPath("Intrinsics", "ModelType"))
+    ModelParameters: tuple[Small, ...] = Field(
+        min_length=14, validation_alias=AliasPath("Intrinsics", "ModelParameters")
+    )
     Rt: _Pose
     MetricRadius: FiniteFloat = 0.0
 
@@ -75,10 +73,10 @@ class _CameraPart(FileRecord):
         if size not in modes:
             known = ", ".join(f"{width} x {height}" for width, height in modes)
             raise ValueError(f"images of {size[0]} x {size[1]} pixels belong to no mode of this camera ({known})")
-        if self.Intrinsics.ModelType != LENS_MODEL:
-            raise ValueError(f"the lens model {self.Intrinsics.ModelType} is unknown; only {LENS_MODEL} is supported")
+        if self.ModelType != LENS_MODEL:
+            raise ValueError(f"the lens model {self.ModelType} is unknown; only {LENS_MODEL} is supported")
         (width, height), (left, top) = modes[size]
-        cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, cod_x, cod_y, p2, p1 = self.Intrinsics.ModelParameters[:14]
+        cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, cod_x, cod_y, p2, p1 = self.ModelParameters[:14]
         if cod_x or cod_y:
             raise ValueError("the centre of distortion differs from the principal point, which is not supported")
         return Camera(
@@ -96,13 +94,11 @@ class _InertialPart(FileRecord):
     Rt: _Pose
 
 
-class _Information(FileRecord):
-    Cameras: tuple[_CameraPart, ...]
-    InertialSensors: tuple[_InertialPart, ...] = ()
-
-
 class _File(FileRecord):
-    CalibrationInformation: _Information
+    Cameras: tuple[_CameraPart, ...] = Field(validation_alias=AliasPath("CalibrationInformation", "Cameras"))
+    InertialSensors: tuple[_InertialPart, ...] = Field(
+        (), validation_alias=AliasPath("CalibrationInformation", "InertialSensors")
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +106,6 @@ class KinectCalibration:
     """Both cameras of an Azure Kinect, in the modes of one recording.
 
     Attributes:
-        depth, color: the cameras.
         T_color_depth: from the depth camera's frame to the colour camera's, metres.
         depth_reach: calibrated radius of the depth lens, as distance of (x/z, y/z) from the axis; infinite if unknown.
         color_from_accelerometer: rotation from the accelerometer's axes to the colour camera's; None if unknown.
@@ -132,15 +127,15 @@ class KinectCalibration:
 def parse_calibration(content: bytes, depth_size: Size, color_size: Size) -> KinectCalibration:
     """Parses the calibration of an attachment, for depth and colour images of these sizes (width, height)."""
     try:
-        information = _File.model_validate_json(content.rstrip(b"\0 \r\n\t")).CalibrationInformation
+        file = _File.model_validate_json(content.rstrip(b"\0 \r\n\t"))
     except ValidationError as error:
         raise ValueError(first_problem(error)) from error
-    cameras = {camera.Purpose: camera for camera in information.Cameras}
+    cameras = {camera.Purpose: camera for camera in file.Cameras}
     if not cameras.keys() >= {DEPTH_PURPOSE, COLOUR_PURPOSE}:
         raise ValueError(f"there is no camera {DEPTH_PURPOSE} or no camera {COLOUR_PURPOSE}")
     depth, color = cameras[DEPTH_PURPOSE], cameras[COLOUR_PURPOSE]
     T_color_device = color.Rt.transform()
-    felt = {sensor.SensorType: sensor.Rt for sensor in information.InertialSensors}.get(ACCELEROMETER)
+    felt = {sensor.SensorType: sensor.Rt for sensor in file.InertialSensors}.get(ACCELEROMETER)
     return KinectCalibration(
         depth=depth.camera(depth_size, DEPTH_MODES),
         color=color.camera(color_size, COLOUR_MODES),
@@ -183,11 +178,7 @@ def parse_samples(data: bytes, is_laced: bool) -> Float64[np.ndarray, "n 4"]:
 def up_at_rest(samples: Float64[np.ndarray, "n 4"], time_ns: int) -> Float64[np.ndarray, "3"] | None:
     """Returns the unit vector against gravity in the sensor's axes; None if the device moves or no sample is near.
 
-    At rest, the sensor measures only the force that supports the device.
-
-    Args:
-        samples: time, ns, and acceleration, m/s^2.
-        time_ns: time on the same clock.
+    At rest, the sensor measures only the force that supports the device. Samples are time, ns, and acceleration, m/s^2.
     """
     away = np.abs(samples[:, 0] - time_ns)
     nearest = np.argsort(away, kind="stable")[:MOST_SAMPLES]

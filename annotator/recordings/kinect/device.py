@@ -39,7 +39,6 @@ BUNDLE = "its package contains the Azure Kinect SDK, for 64-bit Linux with glibc
 
 
 def load_pyk4a() -> ModuleType:
-    """Imports pyk4a."""
     try:
         import pyk4a
     except ImportError as error:
@@ -56,13 +55,7 @@ def load_pyk4a() -> ModuleType:
 
 
 def open_device(k4a: ModuleType, config: Any, which: str | None) -> tuple[Any, str]:
-    """Opens a device and returns it with its serial number.
-
-    Args:
-        k4a: the module from `load_pyk4a`.
-        config: a `Config` of that module.
-        which: as in `KinectDevice`.
-    """
+    """Opens a device, `which` as in `KinectDevice`, and returns it with its serial number."""
     count = k4a.connected_device_count()
     if not count:
         raise DeviceError(
@@ -88,22 +81,13 @@ def open_device(k4a: ModuleType, config: Any, which: str | None) -> tuple[Any, s
 
 
 class KinectDevice:
-    """An open device with running cameras; not thread-safe.
-
-    Attributes:
-        name: the device's name with its serial number.
-        calibration: calibration of both cameras.
-    """
+    """An open device with running cameras; not thread-safe."""
 
     def __init__(self, which: str | None = None) -> None:
-        """Opens a device and starts its cameras.
+        """Opens a device and starts its cameras; a DeviceError says why it cannot.
 
         Args:
             which: its serial number, or its index in the list of devices, from 0; None = the first that can be opened.
-
-        Raises:
-            DeviceError: pyk4a or the SDK is missing, there is no such device, another program uses it, or it does not
-                start.
         """
         self._k4a = load_pyk4a()
         config = self._k4a.Config(
@@ -161,7 +145,6 @@ class KinectDevice:
         return None
 
     def resume(self) -> None:
-        """Discards the frames that are queued."""
         while self._capture(0) is not None:
             pass
 
@@ -177,7 +160,6 @@ class KinectDevice:
             LOG.warning("%s could not be closed: %s", self.name, error or type(error).__name__)
 
     def _capture(self, timeout_ms: int) -> Any | None:
-        """Returns the next capture; None after the timeout."""
         with (
             suppress(self._k4a.K4ATimeoutException),
             self._errors("disconnected; it was unplugged or lost power. Reconnect it and start again"),

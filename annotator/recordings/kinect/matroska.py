@@ -67,13 +67,7 @@ class Block:
 
 @dataclass
 class MatroskaIndex:
-    """What a file has.
-
-    Attributes:
-        tracks: by name.
-        blocks: in file order.
-        tags, attachments: by name.
-    """
+    """What a file has: blocks in file order, the others by name."""
 
     tracks: dict[str, Track] = field(default_factory=dict)
     blocks: list[Block] = field(default_factory=list)

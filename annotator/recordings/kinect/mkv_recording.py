@@ -74,7 +74,6 @@ FORMATS: dict[str, int | None] = {"MJPG": None, "NV12": 3, "YUY2": 4, "BGRA": 8}
 
 
 def decode_color(fourcc: str, data: bytes, width_px: int, height_px: int) -> UInt8[np.ndarray, "h w 3"]:
-    """Returns the RGB image in the bytes of one block."""
     import cv2
 
     halves = FORMATS[fourcc]
@@ -100,12 +99,6 @@ class AzureKinect(Recording):
 
     A frame is a moment with a colour and a depth image, named by the number of its colour image. Moments with only one
     of the two are not frames. Times are those of the device's clock.
-
-    Attributes:
-        captures: the colour and the depth image of each frame.
-        fourcc: the colour images' format.
-        start_ns: device time of the recording's start.
-        inertial: the accelerometer's blocks, sorted by time.
     """
 
     captures: tuple[tuple[Block, Block], ...]
@@ -118,11 +111,9 @@ class AzureKinect(Recording):
 
     @cached_property
     def times_ns(self) -> tuple[int, ...]:
-        """Capture times of the colour images, on the device's clock."""
         return tuple(self.start_ns + color.time_ns for color, _ in self.captures)
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`; its cloud has `rgb`."""
         key = self.key(i)
         # the image is decoded in parallel with the geometry: both take a similar time
         with ThreadPoolExecutor(1) as executor:
@@ -151,7 +142,6 @@ class AzureKinect(Recording):
         return None if up is None else np.asarray(rotation.apply(up))
 
     def color_image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
-        """Reads colour image `i`, RGB order."""
         key, camera = self.key(i), self.calibration.color
         data = self._read(key, "colour", self.captures[i][0])
         with file_errors(self.path, REMEDY, f"frame {key}: colour image: "):

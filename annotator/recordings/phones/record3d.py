@@ -68,11 +68,8 @@ def phone_cloud(
     """Returns the coloured points of a phone's depth image, and the depth in the colour image's pixels.
 
     Args:
-        path: of the depth image, for messages.
-        camera: the colour camera.
         depth_m: z, metres; zero, negative, NaN and infinite values mean no measurement.
         confidence: of each depth pixel; None if it was not recorded.
-        min_confidence: pixels with less are left out; None for the default.
     """
     least = MIN_CONFIDENCE if min_confidence is None else min_confidence
     if confidence is not None:
@@ -97,8 +94,7 @@ def rotation_of(quaternion: Sequence[float]) -> Rotation | None:
 def turns_to_upright(ups: Float64[np.ndarray, "n 3"]) -> int:
     """Returns how many quarter turns clockwise bring a recording's images upright, 0 if the camera looks down or up.
 
-    Args:
-        ups: unit vectors against gravity in the camera's frame, some of the recording's.
+    `ups` are unit vectors against gravity in the camera's frame, of some of its images.
     """
     x, y = ups[:, :2].mean(axis=0) if len(ups) else (0.0, 0.0)
     return 0 if np.hypot(x, y) < LEAST_UPRIGHT else round(np.arctan2(-x, -y) / (np.pi / 2)) % 4
@@ -146,14 +142,12 @@ def _opened(path: Path) -> zipfile.ZipFile:
 
 
 def list_entries(path: Path) -> frozenset[str]:
-    """Lists the files of an archive by name, or of a folder and the folders in it."""
     if path.is_dir():
         return frozenset(file.relative_to(path).as_posix() for form in ("*", "*/*") for file in path.glob(form))
     return frozenset(_opened(path).namelist())
 
 
 def read_entry(path: Path, name: str) -> bytes:
-    """Reads one file."""
     if path.is_dir():
         return read_frame_file(path / name)
     archive = _opened(path)
@@ -179,15 +173,14 @@ IMAGE = re.compile(r"rgbd/([0-9]{1,9})\.(?:jpg|depth)")
 
 
 class Metadata(FileRecord):
-    """`metadata`; other keys (cameraType, initPose, ...) are ignored.
+    """`metadata`; other keys (cameraType, initPose, ...) are ignored, and older files lack those with a default.
 
     Attributes:
-        w, h: size of the colour images.
-        dw, dh: size of the depth images; missing in older files.
+        w, h, dw, dh: sizes of the colour and the depth images.
         K: the camera matrix of the colour images, column by column.
-        perFrameIntrinsicCoeffs: fx fy cx cy of each image; missing in older files.
+        perFrameIntrinsicCoeffs: fx fy cx cy of each image.
         poses: qx qy qz qw x y z of each image.
-        frameTimestamps: seconds since the first image; missing in older files.
+        frameTimestamps: seconds since the first image.
     """
 
     w: Side
@@ -203,13 +196,7 @@ class Metadata(FileRecord):
 
 @dataclass(frozen=True, eq=False)
 class Record3D(Recording):
-    """A `Recording` of Record3D. Frames are named by their numbers.
-
-    Attributes:
-        metadata: the recording's metadata.
-        entries: the files in the archive.
-        min_confidence: the option; None for the default.
-    """
+    """A `Recording` of Record3D. Frames are named by their numbers."""
 
     metadata: Metadata
     entries: frozenset[str] = field(repr=False)
@@ -227,7 +214,6 @@ class Record3D(Recording):
         return tuple(notes)
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`; its cloud has `rgb`."""
         key = self.key(i)
         rgb = self._image(key)
         camera = self._camera(i, rgb)
@@ -265,7 +251,6 @@ class Record3D(Recording):
         return camera if (width, height) == (meta.w, meta.h) else resized(camera, width, height)
 
     def _plane(self, key: str, suffix: str, dtype: type[np.generic], camera: Camera) -> tuple[Path, np.ndarray]:
-        """Returns the path and the pixels of a depth or confidence image."""
         path, data = self._read(f"{key}.{suffix}")
         if find_spec("lzfse") is None:
             raise MissingExtraError("lzfse", "phones")

@@ -51,10 +51,7 @@ Value = TypeVar("Value")
 class StrayScanner(Recording):
     """A `Recording` of Stray Scanner. Frames are named by the numbers in `odometry.csv`.
 
-    Attributes:
-        rows: the rows of `odometry.csv`, as text by column.
-        turns: quarter turns clockwise that bring the images upright.
-        min_confidence: the option; None for the default.
+    `rows` are those of `odometry.csv`, as text by column; so many clockwise quarter `turns` bring the images upright.
     """
 
     rows: tuple[dict[str, str], ...] = field(repr=False)
@@ -87,7 +84,6 @@ class StrayScanner(Recording):
         return depth, frame_file(self.path / CONFIDENCE, key, (".png",), f"{DEPTH}/{key}.png")
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`; its cloud has `rgb`."""
         key, path = self.key(i), self.path / VIDEO
         with file_errors(path, REMEDY, f"frame {key}: "):
             rgb = open_video(path).image(i)
@@ -178,7 +174,6 @@ def open_stray_scanner(path: Path, options: ReaderOptions) -> StrayScanner | Non
 
 
 def _or_none(read: Callable[[int], Value], i: int) -> Value | None:
-    """Returns what a frame's row says; None for a damaged one."""
     try:
         return read(i)
     except FrameError:

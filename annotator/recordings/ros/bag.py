@@ -38,10 +38,7 @@ KINDS: dict[str, tuple[bytes, Callable[[Path, bool], BagFile]]] = {
 class Topic:
     """All messages of a topic, sorted by log time.
 
-    Attributes:
-        name, type: of the topic; the type as `package/Name` (`sensor_msgs/Image`, `foxglove/RawImage`).
-        files: of the bag.
-        messages: (n,) of the type `MESSAGE`.
+    `type` is `package/Name` (`sensor_msgs/Image`, `foxglove/RawImage`); `messages` is (n,), of the type `MESSAGE`.
     """
 
     name: str
@@ -77,19 +74,12 @@ class Topic:
         return int(np.argmin(np.abs(self.log_ns - log_ns)))
 
     def between(self, first_ns: int, last_ns: int) -> range:
-        """Returns the numbers of the messages logged from `first_ns` to `last_ns`."""
         return range(*np.searchsorted(self.log_ns, [first_ns, last_ns + 1]).tolist())
 
 
 @dataclass(frozen=True, eq=False)
 class Bag:
-    """An open bag.
-
-    Attributes:
-        path: the file or folder that was opened.
-        topics: by name, those without messages, too.
-        notes: what is damaged or missing, as sentences.
-    """
+    """An open bag: its topics by name, also those without messages, and notes on what is damaged or missing."""
 
     path: Path
     topics: dict[str, Topic]
@@ -101,7 +91,6 @@ class Bag:
 
 
 def join(path: Path, files: Sequence[BagFile]) -> Bag:
-    """Joins the files of a bag."""
     notes = [note for file in files for note in file.notes]
     # by name and type: a topic with messages of two types is two topics
     sources: dict[str, dict[str, list[tuple[Channel, np.ndarray]]]] = {}

@@ -63,7 +63,6 @@ def listed(
     chunk: int | np.ndarray,
     offset: Integer[np.ndarray, "n"],
 ) -> np.ndarray:
-    """Returns messages, of the type `MESSAGE`."""
     found = np.zeros(len(log_ns), MESSAGE)
     found["channel"], found["chunk"], found["offset"] = channel, chunk, offset
     # times beyond 2262 are damaged
@@ -72,14 +71,9 @@ def listed(
 
 
 class BagFile:
-    """One file of a bag.
+    """One file of a bag: its channels by number, all messages (of the type `MESSAGE`), and notes on what is damaged.
 
-    Attributes:
-        path: the file.
-        channels: its channels by number.
-        messages: all of them, of the type `MESSAGE`.
-        notes: what is damaged or missing, as sentences.
-        is_slow: reading takes so long that it is worth several threads.
+    `is_slow`: reading takes so long that it is worth several threads.
     """
 
     def __init__(self, path: Path) -> None:
@@ -136,10 +130,7 @@ def _decompressor(compression: str) -> Any:
 class Content:
     """What is stored in pieces, decompressed as far as it was needed; several threads may read it.
 
-    Attributes:
-        data: what was decompressed.
-        is_damaged: there is no more, because the pieces are damaged or end too early.
-        is_wrong: it is complete, but its checksum is another.
+    `is_damaged`: the pieces are damaged or end too early. `is_wrong`: it is complete, but its checksum is another.
     """
 
     def __init__(self, compression: str, pieces: Iterator[bytes], full_size: int | None = None, checksum: int = 0):
@@ -150,8 +141,7 @@ class Content:
     def read(self, start: int, end: int, is_checked: bool = True) -> bytes:
         """Returns the bytes from `start` to `end`, or as far as they are sound.
 
-        Args:
-            is_checked: raises ValueError if the checksum is wrong; nothing is returned before all is decompressed.
+        `is_checked`: raises ValueError if the checksum is wrong; nothing is returned before all is decompressed.
         """
         with self._lock:
             until = max(end, self._full_size or 0) if self._checksum else end
@@ -176,7 +166,6 @@ class ChunkedFile(BagFile):
         self.chunks: list[Chunk] = []
 
     def opened(self, number: int) -> Content:
-        """Returns the content of a chunk, of which nothing was read yet."""
         chunk = self.chunks[number]
         return Content(chunk.compression, self._pieces(chunk), chunk.full_size, chunk.checksum)
 
@@ -298,11 +287,7 @@ SQLITE_MAGIC = b"SQLite format 3\0"
 
 
 class SqliteFile(BagFile):
-    """A ROS 2 bag in an SQLite file, the only use of SQLite outside `project`. A message's offset is its row.
-
-    Args:
-        are_compressed: each message is compressed with zstd.
-    """
+    """A ROS 2 bag in an SQLite file, the only use of SQLite outside `project`. A message's offset is its row."""
 
     def __init__(self, path: Path, are_compressed: bool = False) -> None:
         super().__init__(path)
@@ -341,7 +326,6 @@ class SqliteFile(BagFile):
         return unpacked_message(data, most) if self._are_compressed else data
 
     def _list_messages(self) -> None:
-        """Lists all messages, as far as the file is sound."""
         # the three numbers of each: a list of lists would need six times the memory
         found, size = array("q"), self.path.stat().st_size
         try:

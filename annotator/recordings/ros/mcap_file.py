@@ -39,8 +39,7 @@ LONGEST_NAME = 64
 class McapFile(ChunkedFile):
     """An MCAP file, of ROS 2 or not. After a damaged place, it is read from the next chunk that its summary names.
 
-    Args:
-        are_compressed: each message is compressed with zstd (a mode of ROS 2).
+    `are_compressed`: each message is compressed with zstd (a mode of ROS 2).
     """
 
     def __init__(self, path: Path, are_compressed: bool = False) -> None:
@@ -98,12 +97,7 @@ class McapFile(ChunkedFile):
     def _list(self, file: BinaryIO, at: int, end: int, chunk: int = -1, describe: bool = False) -> tuple[int, bool]:
         """Adds what the records of a part of the file say, or of a chunk's content, up to the first damaged one.
 
-        Args:
-            chunk: whose content it is; -1 = of the file itself.
-            describe: only schemas and channels are added.
-
-        Returns:
-            Where it ended, and whether that was at the file's footer.
+        `describe` adds schemas and channels only. Returns where it ended, and whether that was at the file's footer.
         """
         first, indexed, is_closed = len(self.chunks), set(), False
         loose: dict[int, list[tuple[int, int]]] = {}

@@ -49,7 +49,6 @@ FIELD_ERRORS = (ValueError, TypeError, AttributeError, LookupError, ArithmeticEr
 
 
 def decode(channel: Channel, data: bytes) -> Any:
-    """Decodes a message."""
     try:
         return _decoder(channel.encoding, channel.type, channel.schema_encoding, channel.schema)(data)
     except MissingExtraError:
@@ -60,7 +59,6 @@ def decode(channel: Channel, data: bytes) -> Any:
 
 
 def message(topic: Topic, i: int) -> Any:
-    """Reads and decodes message `i` of a topic."""
     channel, data = topic.read(i)
     return decode(channel, data)
 
@@ -199,10 +197,7 @@ def cloud_of(content: Any) -> RawCloud:
 
 
 def _point_type(size: int, order: str, fields: list[tuple[Any, str | None, int]]) -> np.dtype:
-    """Returns the type of a point by its fields: each with its type and the number of its values.
-
-    Fields of an unknown type or of several values are left out.
-    """
+    """Returns the type of a point, without fields of an unknown type or of several values."""
     if size <= 0:
         raise ValueError(f"declares {len(fields)} fields in points of {size} bytes")
     used: dict[str, tuple[str, int]] = {}
@@ -226,12 +221,10 @@ GRID = 25
 
 @dataclass(frozen=True, eq=False)
 class BagCamera:
-    """A calibrated camera of a bag.
+    """A calibrated camera of a bag, as its images are given to annotator.
 
-    Attributes:
-        camera: of the images as they are given to annotator.
-        T_camera_frame: from the tf frame that the calibration names to the camera (rectification and baseline).
-        fisheye: K and D of the images in the bag, if they must be undistorted.
+    `T_camera_frame` is rectification and baseline, from the tf frame that the calibration names. `fisheye` has K and D
+    of the images in the bag, if they must be undistorted.
     """
 
     camera: Camera
@@ -239,7 +232,6 @@ class BagCamera:
     fisheye: tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, "4"]] | None = None
 
     def picture(self, rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
-        """Returns an image of the bag as this camera sees it."""
         import cv2
 
         self.require_size(rgb.shape)
@@ -262,9 +254,7 @@ class BagCamera:
 def read_camera_info(content: Any, is_rectified: bool, first: Any = None) -> BagCamera:
     """Returns the camera of a decoded message.
 
-    Args:
-        is_rectified: its images are.
-        first: calibration of the first camera of a stereo pair, if the second one, this, names its tf frame.
+    `first`: calibration of the first camera of a stereo pair, if the second one, this, names its tf frame.
     """
     K, P = _field(content, "K", 9), _field(content, "P", 12) if is_rectified else np.zeros(0)
     if not K.any():

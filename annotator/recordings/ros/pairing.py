@@ -60,7 +60,6 @@ def cache_folder() -> Path:
 
 
 def _fingerprint(topic: Topic) -> str:
-    """Returns a name for a topic in these files, as they are now."""
     parts = [topic.name, topic.type, str(len(topic))]
     for file in topic.files:
         stat = file.path.stat()
@@ -76,13 +75,7 @@ PARTS = 4
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Images and their clouds.
-
-    Attributes:
-        image, cloud: (n,) message numbers, sorted by the image's time.
-        time_ns, cloud_time_ns: (n,) their times.
-        notes: what has no partner, and what is wrong with the times.
-    """
+    """Numbers of images and of their clouds, by the image's time, and both times; notes: what has no partner."""
 
     image: Int64[np.ndarray, "n"]
     cloud: Int64[np.ndarray, "n"]
@@ -144,7 +137,6 @@ def _read_stamps(topic: Topic, numbers: Int64[np.ndarray, "n"]) -> Int64[np.ndar
 
 
 def _times(images: Topic, clouds: Topic, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the times of both topics, by the same clock."""
     found, late_ns = [], []
     for topic in (images, clouds):
         times = stamps_ns(topic)
@@ -169,7 +161,6 @@ def _times(images: Topic, clouds: Topic, notes: list[str]) -> tuple[np.ndarray, 
 
 
 def _mutual_nearest(a_ns: np.ndarray, b_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the numbers of those that are each other's nearest."""
     if not len(a_ns) or not len(b_ns):
         return np.empty(0, np.int64), np.empty(0, np.int64)
     to_b, to_a = nearest(a_ns, b_ns), nearest(b_ns, a_ns)

@@ -68,7 +68,6 @@ def decode_rvl(data: bytes) -> UInt16[np.ndarray, "h w"]:
 
 
 def _numbers(data: bytes) -> np.ndarray:
-    """Returns all numbers of a stream of words."""
     words = np.frombuffer(data[: len(data) // 4 * 4], "<u4")
     groups = (words[:, None] >> np.arange(28, -1, -4, dtype=np.uint32) & 15).reshape(-1).astype(np.int64)
     ends = np.flatnonzero(groups < 8)
@@ -97,12 +96,9 @@ DEPTH_HEAD = struct.Struct("<iff")
 
 
 def describe(content: Any, topic: str) -> tuple[str, tuple[int, int], bool]:
-    """Describes an image message; 16-bit grey is depth if its topic says so.
+    """Returns an image message's encoding, width and height, and whether it is depth, as 16-bit grey of some topics is.
 
-    Returns:
-        The encoding of its pixels; of compressed ones as the format names it ("" if it does not).
-        Width and height; 0 if only the compressed bytes know them.
-        Whether the pixels are depths.
+    A compressed one may not name its encoding (""), and only its bytes know its size (0).
     """
     if not hasattr(content, "encoding"):
         encoding = str(content.format).partition(";")[0].strip()
@@ -116,8 +112,7 @@ def describe(content: Any, topic: str) -> tuple[str, tuple[int, int], bool]:
 def color_image(content: Any, first: tuple[Topic, tuple[int, ...]] | None = None) -> UInt8[np.ndarray, "h w 3"]:
     """Returns the picture of an image message, RGB order.
 
-    Args:
-        first: its topic and the numbers of the first messages, whose levels hold for all pictures of more than 8 bits.
+    `first`: its topic and the numbers of the first messages, whose levels hold for all pictures of more than 8 bits.
     """
     rgb, own = _decoded(content)
     if own is not None:
@@ -127,7 +122,6 @@ def color_image(content: Any, first: tuple[Topic, tuple[int, ...]] | None = None
 
 @lru_cache(maxsize=16)
 def _levels_of(topic: Topic, numbers: tuple[int, ...]) -> list[Levels]:
-    """Returns the levels of those of some messages that have more than 8 bits."""
     found = []
     for number in numbers:
         # one that is damaged is told by its own frame
@@ -161,11 +155,7 @@ def _decoded(content: Any) -> tuple[np.ndarray, Levels | None]:
 
 
 def depth_image(content: Any, unit_m: float | None = None) -> Float32[np.ndarray, "h w"]:
-    """Returns the depths of an image message, metres; 0 = none.
-
-    Args:
-        unit_m: metres of one unit of whole numbers; None = millimetres.
-    """
+    """Returns the depths of an image message, metres; 0 = none. `unit_m`: of whole numbers; None = millimetres."""
     if hasattr(content, "encoding"):
         encoding = str(content.encoding)
         if encoding not in DEPTH_ENCODINGS:
@@ -240,11 +230,7 @@ def video_image(topic: Topic, i: int, content: Any) -> UInt8[np.ndarray, "h w 3"
 
 
 def decode_last(codec: str, packets: list[bytes]) -> UInt8[np.ndarray, "h w 3"]:
-    """Returns the picture of the last packet, in this process, whose decoders then log everything.
-
-    Raises:
-        ValueError: it is damaged, or a picture before it is lost.
-    """
+    """Returns the picture of the last packet, in this process, whose decoders then log everything."""
     import av.logging
 
     av.logging.set_level(av.logging.DEBUG)

@@ -61,15 +61,9 @@ class RosBag(Recording):
     """A `Recording` of a bag.
 
     Attributes:
-        bag: the open bag.
-        chosen: the topics that are used.
-        pairs: their messages.
-        tf: reads the bag's transforms.
         camera_frame: tf frame of the camera; "" = that of its images.
         fixed_frame: tf frame by which clouds are moved; None if tf does not know how the rig moves.
         unit_m: metres of a unit of depth, as RealSense's own topics say; None for other bags.
-        told: the recording's notes.
-        scale: of the clouds' reflectance and colours.
         given_origin: the option `origin`, for clouds without images.
     """
 
@@ -92,7 +86,6 @@ class RosBag(Recording):
 
     @property
     def times_ns(self) -> tuple[int, ...]:
-        """The frames' times."""
         return tuple(self.pairs.time_ns.tolist())
 
     @property
@@ -137,12 +130,10 @@ class RosBag(Recording):
             return Frame(key, i, camera.camera, rgb, cloud, depth_m, up, None, time_ns, T_world_camera=world)
 
     def _log_ns(self, i: int) -> int:
-        """Returns when the image of frame `i` was logged."""
         assert self.chosen.image is not None
         return int(self.chosen.image.topic.log_ns[int(self.pairs.image[i])])
 
     def _partner(self, i: int) -> Any:
-        """Returns the message with the points or depths of frame `i`."""
         with _naming(self.chosen.partner):
             return message(self.chosen.partner, int(self.pairs.cloud[i]))
 
@@ -172,11 +163,7 @@ class RosBag(Recording):
     def _from_depth(
         self, content: Any, depth: ImageTopic, T: RigidTransform, rgb: np.ndarray, camera: BagCamera, log_ns: int
     ) -> tuple[PointCloud, Float32[np.ndarray, "h w"]]:
-        """Returns the cloud of a depth image and the depth in the pixels of the image.
-
-        Args:
-            T: from the tf frame of the depth image to the camera.
-        """
+        """Returns the cloud of a depth image, from whose tf frame `T` leads to the camera, and depth in the image."""
         source = self._camera(self.chosen.depth_info, depth, log_ns)
         with _naming(depth.topic):
             depth_m = depth_image(content, self.unit_m)
@@ -295,7 +282,6 @@ def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | None:
 
 
 def _alone(clouds: Topic) -> Pairs:
-    """Returns the messages of a topic of clouds, without images."""
     stamps = stamps_ns(clouds)
     times = stamps if (stamps > 0).all() else clouds.log_ns
     order = np.argsort(times, kind="stable")
@@ -319,7 +305,6 @@ def _link(target: str, source: str, time_ns: int, links: Links) -> RigidTransfor
 
 @contextmanager
 def _naming(topic: Topic) -> Iterator[None]:
-    """Puts a topic's name before an error in its message."""
     try:
         yield
     except FIELD_ERRORS as error:

@@ -41,12 +41,7 @@ GREY = ("mono8", "mono16", "8UC1", "16UC1")
 
 @dataclass(frozen=True, eq=False)
 class ImageTopic:
-    """A topic of images.
-
-    Attributes:
-        frame: the tf frame of its first readable message.
-        encoding, size, is_depth: of that message, as `describe` returns them.
-    """
+    """A topic of images; frame, encoding, size and `is_depth` (see `describe`) are of its first readable message."""
 
     topic: Topic
     frame: str
@@ -56,7 +51,6 @@ class ImageTopic:
 
     @property
     def base(self) -> str:
-        """The topic's name without that of a transport."""
         above, _, last = self.topic.name.rpartition("/")
         return above if last in TRANSPORTS else self.topic.name
 
@@ -71,11 +65,7 @@ Group = TypeVar("Group", Topic, ImageTopic)
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """The topics of a recording: an image with a calibration and a cloud or depth image, or a cloud alone.
-
-    Attributes:
-        info, depth_info: calibrations of the images and depth images.
-    """
+    """The topics of a recording: an image with a calibration and a cloud or depth image, or a cloud alone."""
 
     image: ImageTopic | None
     info: Topic | None
@@ -85,7 +75,6 @@ class Chosen:
 
     @property
     def partner(self) -> Topic:
-        """The topic of the points or depths."""
         partner = self.points or (self.depth.topic if self.depth else None)
         assert partner is not None
         return partner
@@ -113,7 +102,6 @@ def frame_of(topic: Topic) -> str:
 
 
 def first_message(topic: Topic) -> Any:
-    """Returns the first readable of a topic's first messages; None if none is."""
     for i in range(min(len(topic), 5)):
         try:
             return message(topic, i)
@@ -123,7 +111,6 @@ def first_message(topic: Topic) -> Any:
 
 
 def choose(bag: Bag, options: ReaderOptions) -> Chosen:
-    """Chooses the topics of a recording."""
     if options.points is not None and options.depth is not None:
         raise ConfigError(f"{bag.path}: --points and --depth exclude each other; give one of them")
     images, clouds = image_topics(bag), bag.of_type(*CLOUD_TYPES)
@@ -172,7 +159,6 @@ def _only(*groups: list[Group]) -> list[Group]:
 def _partner(
     bag: Bag, options: ReaderOptions, image: ImageTopic, images: list[ImageTopic], clouds: list[Topic]
 ) -> tuple[Topic | None, ImageTopic | None]:
-    """Returns the topic of points, or that of depth images."""
     if options.points is not None:
         return _named(bag, "points", options.points, clouds), None
     if options.depth is not None:
@@ -253,7 +239,6 @@ def _only_cloud(bag: Bag, clouds: list[Topic]) -> Topic:
 
 
 def _named(bag: Bag, option: str, name: str | None, candidates: Sequence[Topic]) -> Topic | None:
-    """Returns the topic that an option names; None without a name."""
     if name is None:
         return None
     found = next((topic for topic in candidates if name in (topic.name, topic.name.lstrip("/"))), None)
@@ -300,15 +285,7 @@ def _unit_topic(bag: Bag, chosen: Chosen | None) -> Topic | None:
 
 
 class TopicReport(Strict):
-    """A topic of a bag.
-
-    Attributes:
-        name, type: `package/Name` for all encodings.
-        messages: their number.
-        rate_hz: messages per second; None for fewer than two.
-        use: what it is used for; "" = not used, or not chosen yet.
-        option: that can name it, such as "--points"; "" = none.
-    """
+    """A topic of a bag: its type as `package/Name`, its use, "" if none, and the option that names it ("--points")."""
 
     name: str
     type: str
@@ -340,7 +317,6 @@ def list_topics(path: Path, options: ReaderOptions) -> tuple[TopicReport, ...] |
 
 
 def _uses(bag: Bag, chosen: Chosen | None) -> dict[str, str]:
-    """Returns what each topic is used for, by name; topics that are not used are left out."""
     tf = TransformReader.of(bag)
     found = {topic.name: "transforms" for topic in (*tf.static, *tf.moving)}
     found |= {topic.name: "gravity" for topic in bag.of_type(IMU_TYPE)}

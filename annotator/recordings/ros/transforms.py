@@ -46,20 +46,14 @@ class LinkMissingError(Exception):
 
 
 def frame_in(topic: Topic, content: Any) -> str:
-    """Returns the tf frame of a topic's message."""
     stream = STREAM.fullmatch(topic.name)
     return frame_id(content) if stream is None else stream[1]
 
 
 @dataclass(eq=False)
 class Links:
-    """The links known around a time.
-
-    Attributes:
-        static: child -> pose in its parent, at all times.
-        parents: child -> parent.
-        poses: child -> poses in its parent by time.
-        invalid: child -> what is wrong with a pose that was left out.
+    """The links known around a time: static poses, parents, poses by time, and what is wrong with a pose that was left
+    out, each by the child's name.
     """
 
     static: dict[str, RigidTransform] = field(default_factory=dict)
@@ -88,7 +82,6 @@ class Links:
             self.poses.setdefault(child, {})[time_ns] = (place_m, quaternion)
 
     def transform(self, target: str, source: str, time_ns: int) -> RigidTransform:
-        """Returns `T_target_source` at a time."""
         if target == source:
             return RigidTransform.identity()
         above_source, above_target = list(self._ancestors(source)), list(self._ancestors(target))
@@ -100,12 +93,10 @@ class Links:
         return T_common_target.inv() * T_common_source
 
     def _chain(self, names: list[str], time_ns: int) -> RigidTransform:
-        """Returns the transform from the first of `names` to the parent of the last."""
         poses = [self._pose(name, time_ns) for name in reversed(names)]
         return reduce(mul, poses) if poses else RigidTransform.identity()
 
     def is_below(self, name: str, above: str) -> bool:
-        """True if a chain of links leads up from one frame to another."""
         return above in self._ancestors(name)
 
     def _ancestors(self, name: str) -> Iterator[str]:
@@ -148,19 +139,13 @@ class Links:
 
 @dataclass(frozen=True, eq=False)
 class TransformReader:
-    """Reads the links of a bag around a time.
-
-    Attributes:
-        static: topics of links that hold at all times.
-        moving: the other topics.
-    """
+    """Reads the links of a bag around a time; those of the topics `static` hold at all times."""
 
     static: tuple[Topic, ...]
     moving: tuple[Topic, ...]
 
     @staticmethod
     def of(bag: Bag) -> TransformReader:
-        """Returns the reader of a bag's tf topics."""
         topics = bag.of_type(*TYPES)
         static = [topic for topic in topics if STATIC in topic.name]
         moving = tuple(topic for topic in topics if topic not in static)
@@ -170,9 +155,7 @@ class TransformReader:
     def look_up(self, log_ns: int, what: Callable[[Links], Value], windows: int | None = None) -> Value:
         """Returns what the links known around a log time give, of the nearest messages that suffice.
 
-        Args:
-            what: raises LinkMissingError if a link is missing, and then does `look_up`.
-            windows: number of distances that are tried; 2 = within a second.
+        `windows`: number of distances that are tried; 2 = within a second. Raises LinkMissingError as `what` does.
         """
         problem = LinkMissingError("the bag has too many transforms at this time")
         for links in islice(self.windows(log_ns), windows):

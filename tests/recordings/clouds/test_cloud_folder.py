@@ -100,7 +100,7 @@ BROKEN = [
     (calibrated(width=99), "the image is 120 x 40 pixels, but the camera is for 99 x 40"),
     (calibrated(cloud_to_camera=ELSEWHERE), r"none of its points lies in the image \(3000 in all\)"),
     (lambda p: (p / "image" / "7.png").unlink(), "missing; put 7.png"),
-    (lambda p: np.save(p / "points" / "7.npy", SCAN), "ambiguous"),
+    (lambda p: np.save(p / "points" / "7.npy", SCAN), r"ambiguous: the folder has 7\.bin, 7\.npy"),
 ]
 
 
