@@ -104,12 +104,12 @@ class Project:
         self, *, classes: Sequence[str] | None = None, settings: ProjectSettings | None = None, author: str = AUTHOR
     ) -> ProjectConfig:
         """Changes the classes or the settings; None leaves them as they are."""
-        with self.store.write():  # which prevents concurrent changes of the file
-            if settings is not None:
+        if classes is not None:  # first, since they may be refused
+            self.change_classes(lambda old: ClassEdit("set the classes", with_classes(old, classes)), author)
+        if settings is not None:
+            with self.store.write():  # which prevents concurrent changes of the file
                 write_config(self.path, read_config(self.path).model_copy(update={"settings": settings}))
-        if classes is None:
-            return self.config
-        return self.change_classes(lambda old: ClassEdit("set the classes", with_classes(old, classes)), author)
+        return self.config
 
     def change_classes(self, edit: Callable[[ProjectConfig], ClassEdit], author: str) -> ProjectConfig:
         """Changes the classes and attributes, with the boxes and values that follow; one action, which can be undone.

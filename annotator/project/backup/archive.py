@@ -159,10 +159,8 @@ class BackupManifest(FileRecord):
         project: name of the project's folder.
         annotator: version of the program that wrote it.
         created_ns: UTC nanoseconds since the epoch.
-        database_version: of `project.db`.
         last_event: id of the newest event; 0 = none.
-        events, labels: numbers of rows.
-        models: the detectors in it.
+        labels: number of them.
         count: number of files, without this one.
     """
 
@@ -171,11 +169,8 @@ class BackupManifest(FileRecord):
     project: str
     annotator: str
     created_ns: int = Field(ge=0)
-    database_version: int
     last_event: int = Field(ge=0)
-    events: int = Field(ge=0)
     labels: int = Field(ge=0)
-    models: ModelChoice
     count: int = Field(ge=0)
 
 

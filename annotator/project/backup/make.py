@@ -72,7 +72,7 @@ def back_up(
             write_snapshot(project / DATABASE_FILE, database)
             keep_models(database, models)
             names, missing = copied_files(project, database)
-            manifest = _write(project, database, part, names, models, progress)
+            manifest = _write(project, database, part, names, progress)
             if out.exists():
                 raise ProjectError(f"{out} exists already; choose another file")
             part.replace(out)
@@ -87,25 +87,18 @@ def _write(
     database: Path,
     part: Path,
     names: Sequence[str],
-    models: ModelChoice,
     progress: Progress,
 ) -> BackupManifest:
     _require_space(part.parent, database.stat().st_size + sum((project / name).stat().st_size for name in names))
     with explained(database), reading(database) as connection:
-        counts = (
-            "SELECT user_version, (SELECT count(*) FROM events), (SELECT coalesce(max(id), 0) FROM events), "
-            "(SELECT count(*) FROM labels WHERE behind IS NULL) FROM pragma_user_version"
-        )
-        version, events, last, labels = connection.execute(counts).fetchone()
+        counts = "SELECT (SELECT max(id) FROM events), (SELECT count(*) FROM labels WHERE behind IS NULL)"
+        last, labels = connection.execute(counts).fetchone()
     manifest = BackupManifest(
         project=project.resolve().name,
         annotator=__version__,
         created_ns=time.time_ns(),
-        database_version=version,
-        last_event=last,
-        events=events,
+        last_event=last or 0,
         labels=labels,
-        models=models,
         count=1 + len(names),
     )
     part.touch(mode=0o600, exist_ok=False)  # the database in it is for its owner only

@@ -6,7 +6,7 @@ import shutil
 import sqlite3
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -49,6 +49,7 @@ from annotator.project.config import CONFIG_FILE, ProjectConfig, ProjectFile, re
 from annotator.project.database.migrations import UNRELEASED, version_problem
 from annotator.project.database.schema import AUDITED, columns_of, events, frames, unpacked
 from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained, wal_of
+from annotator.project.log import next_revision
 from annotator.project.rows import Terms
 from annotator.types import Source
 from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
@@ -177,13 +178,7 @@ def _keep(connection: Connection, table: str, first_of: str, kept: str) -> None:
     connection.exec_driver_sql(f"DELETE FROM {table} WHERE NOT ({kept})")
 
 
-def _copy_plain(
-    source: sqlite3.Connection,
-    store: Store,
-    lost: Counter[str],
-    tables: Sequence[str],
-    values: Mapping[str, Row] = _UNCHANGED,
-) -> None:
+def _copy_plain(source: sqlite3.Connection, store: Store, lost: Counter[str], tables: Sequence[str]) -> None:
     with store.write() as connection:
         for table in tables:
             known = {row[1] for row in connection.exec_driver_sql(f"PRAGMA table_info({table})")}
@@ -192,7 +187,7 @@ def _copy_plain(
                 # first those that name a moment: a scan may have found the cloud of an earlier one later
                 rows = sorted(rows, key=lambda row: row.get("moment_id") != row.get("id"))
             for row in rows:
-                kept = {key: value for key, value in row.items() if key in known} | values.get(table, {})
+                kept = {key: value for key, value in row.items() if key in known} | _UNCHANGED.get(table, {})
                 if table == "models" and not is_content(str(row.get("path"))):  # outside the project's folder
                     lost[table] += 1
                     continue
@@ -260,10 +255,8 @@ def _revision(connection: Connection, values: Row) -> int:
     """The present revision of an event's frame, or of its view where it has no frame."""
     if values["frame_id"] is not None:
         query = select(frames.c.revision).where(frames.c.id == values["frame_id"])
-    else:
-        same = (events.c.view_id == values["view_id"]) & events.c.frame_id.is_(None)
-        query = select(func.max(events.c.revision)).where(same)
-    return connection.execute(query).scalar() or 0
+        return connection.execute(query).scalar() or 0
+    return next_revision(connection, values["view_id"]) - 1
 
 
 def _restore_states(copy: Path, store: Store, repaired: Repaired) -> None:

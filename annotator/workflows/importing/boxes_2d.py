@@ -135,10 +135,8 @@ class _Import:
             drawn_from[view.frame_id] += [] if view.image_box is None else [view.image_box]
         values = ImageValues(project, report)
         for done, image in enumerate(images, start=1):
-            known, measured = self._known(image.boxes), self._kind or image.labels.box_kind or BoxKind.SILHOUETTE
-            base = drawn_from[image.frame_id]
-            stored = store_on_image(project, dataset.path, image, known, measured, base, self._importer)
-            if self._count(image.boxes, known, stored):
+            known = self._known(image.boxes)
+            if self._count(image.boxes, known, self._store_on_image(image, known, drawn_from[image.frame_id])):
                 report.frames += 1
                 values.take(image, self._names, self._importer)
                 report.add(Note.AROUND, image.labels.around)
@@ -149,8 +147,8 @@ class _Import:
             values.leave_out(picture)
             report.add(Note.AROUND, picture.around)
         for view in views:
-            known, measured = self._known(view.boxes), self._kind or view.box_kind or BoxKind.SILHOUETTE
-            report.views += self._count(view.boxes, known, store_on_view(project, view, known, measured, revisions))
+            known = self._known(view.boxes)
+            report.views += self._count(view.boxes, known, self._store_on_view(view, known, revisions))
         values.report_left_out()
         return report
 
@@ -160,7 +158,7 @@ class _Import:
         return [box for box in renamed if box.label in self._classes]
 
     def _count(self, boxes: Sequence[Box2D], known: Sequence[Box2D], replaced: bool | None) -> bool:
-        """Counts the boxes of an image; returns whether they were stored. `replaced` as from `store_on_image`."""
+        """Counts the boxes of an image; returns whether they were stored. `replaced` as from `_store_on_image`."""
         if replaced is None:
             self._report.add(Note.FINALISED)
             return False
@@ -170,77 +168,67 @@ class _Import:
         self._report.add_all(Note.OTHER_CLASS, others)
         return True
 
+    def _store_on_image(self, image: OnImage, boxes: Sequence[Box2D], drawn_from: Sequence[Box2D]) -> bool | None:
+        """Stores the boxes of a frame's camera image and updates those on its views, unless the frame is finalised.
+
+        Args:
+            drawn_from: boxes on this image that imported views were rendered from.
+
+        Returns:
+            Whether it has replaced boxes that another author drew; None = nothing was stored.
+        """
+        kind = self._kind or image.labels.box_kind or BoxKind.SILHOUETTE
+        while True:
+            page = read_page(self._project, image.frame_id)
+            if page.frame.finalised:
+                return None
+            before = () if page.image_boxes is None else page.image_boxes.boxes
+            with storable(f"{self._dataset.path}: {image.labels.file_name}"):
+                on_image = ImageBoxesSet(
+                    boxes=tuple(_as_known([*drawn_from, *before], box) for box in boxes), box_kind=kind
+                )
+            context = WriteContext(page.frame.revision, self._importer.author, Source.IMPORTED)
+            part = FramePart(image.frame_id, [on_image, *view_followers(page, on_image)], context)
+            # retried if the frame was changed since it was read
+            with suppress(StaleRevisionError):
+                self._project.log.append_to_frames([part], self._importer.action)
+                is_drawn = page.image_boxes is not None and page.image_boxes.source is not Source.IMPORTED
+                return is_drawn and before != on_image.boxes
+
+    def _store_on_view(self, view: OnView, boxes: Sequence[Box2D], revisions: Mapping[str, int]) -> bool | None:
+        """Copies the image into the project and stores its boxes, unless the frame is finalised.
+
+        Args:
+            revisions: revisions of the project's views without a frame, by id.
+
+        Returns:
+            As `_store_on_image`.
+        """
+        project, content = self._project, read_file(view.file)
+        kind = self._kind or view.box_kind or BoxKind.SILHOUETTE
+        while True:
+            frame = None if view.frame_id is None else project.frames.get(view.frame_id)
+            if frame is not None and frame.finalised:
+                return None
+            view_id = project.views.store(content)
+            revision = revisions.get(view_id, 0) if frame is None else frame.revision
+            context = WriteContext(revision, AUTHOR, Source.IMPORTED)
+            try:
+                project.boxes.set_on_view(
+                    view_id, boxes, kind, context, frame_id=view.frame_id, step=view.step, geometry=view.geometry
+                )
+                return False
+            except StaleRevisionError:
+                # retried if the frame was changed since it was read; only another import changes a view without a frame
+                if frame is None:
+                    raise
+
 
 # Boxes that differ by fewer pixels are the same box, rounded in a file; a box that is drawn again differs by more.
 ROUNDED_PX = 0.01
-
-
-def store_on_image(
-    project: Project,
-    path: Path,
-    image: OnImage,
-    boxes: Sequence[Box2D],
-    kind: BoxKind,
-    drawn_from: Sequence[Box2D],
-    importer: Importer,
-) -> bool | None:
-    """Stores the boxes of a frame's camera image and updates those on its views, unless the frame is finalised.
-
-    Args:
-        drawn_from: boxes on this image that imported views were rendered from.
-
-    Returns:
-        Whether it has replaced boxes that another author drew; None = nothing was stored.
-    """
-    while True:
-        page = read_page(project, image.frame_id)
-        if page.frame.finalised:
-            return None
-        before = () if page.image_boxes is None else page.image_boxes.boxes
-        with storable(f"{path}: {image.labels.file_name}"):
-            on_image = ImageBoxesSet(
-                boxes=tuple(_as_known([*drawn_from, *before], box) for box in boxes), box_kind=kind
-            )
-        context = WriteContext(page.frame.revision, importer.author, Source.IMPORTED)
-        part = FramePart(image.frame_id, [on_image, *view_followers(page, on_image)], context)
-        # retried if the frame was changed since it was read
-        with suppress(StaleRevisionError):
-            project.log.append_to_frames([part], importer.action)
-            is_drawn = page.image_boxes is not None and page.image_boxes.source is not Source.IMPORTED
-            return is_drawn and before != on_image.boxes
 
 
 def _as_known(known: Sequence[Box2D], box: Box2D) -> Box2D:
     """Returns the known box for one that a file has only rounded, so that views rendered from it stay valid."""
     same = (other for other in known if other.label == box.label)
     return next((other for other in same if np.allclose(box.xyxy, other.xyxy, rtol=0, atol=ROUNDED_PX)), box)
-
-
-def store_on_view(
-    project: Project, view: OnView, boxes: Sequence[Box2D], kind: BoxKind, revisions: Mapping[str, int]
-) -> bool | None:
-    """Copies the image into the project and stores its boxes, unless the frame is finalised.
-
-    Args:
-        revisions: revisions of the project's views without a frame, by id.
-
-    Returns:
-        As `store_on_image`.
-    """
-    content = read_file(view.file)
-    while True:
-        frame = None if view.frame_id is None else project.frames.get(view.frame_id)
-        if frame is not None and frame.finalised:
-            return None
-        view_id = project.views.store(content)
-        revision = revisions.get(view_id, 0) if frame is None else frame.revision
-        context = WriteContext(revision, AUTHOR, Source.IMPORTED)
-        try:
-            project.boxes.set_on_view(
-                view_id, boxes, kind, context, frame_id=view.frame_id, step=view.step, geometry=view.geometry
-            )
-            return False
-        except StaleRevisionError:
-            # retried if the frame was changed since it was read; only another import changes a view without a frame
-            if frame is None:
-                raise

@@ -1,9 +1,8 @@
-"""Imported 3D boxes in any format: the interface of all, and the boxes that a file or folder has by frame."""
+"""Imported 3D boxes in any format, by frame."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -64,29 +63,37 @@ class ScoreRange:
         return 1.0 if self.high == self.low else (score - self.low) / (self.high - self.low)
 
 
-class LabelSet(ABC):
+@dataclass(eq=False)
+class LabelSet:
     """The 3D boxes of a dataset, read and checked as a whole before anything is stored.
 
     Attributes:
         path: the file or folder that they were read from.
+        labelled: the frames by their names: "RECORDING/KEY", or only "KEY"; also empty ones.
         faults_of_frames: errors that concern one frame only: it is left out and reported.
-        scores: the range of the scores of all boxes, as in the files; None without any.
-        sizes_m: the size of each box, as `OrientedBox.size_m`.
     """
 
     path: Path
+    labelled: Mapping[str, LabelledFrame]
     faults_of_frames: tuple[type[AnnotatorError], ...] = (FrameError,)
-    scores: ScoreRange | None = None
-    sizes_m: Iterable[Float64[np.ndarray, "3"]] = ()
 
     @property
-    @abstractmethod
     def frames(self) -> Sequence[str]:
-        """Names of the labelled frames, including empty ones: "RECORDING/KEY", or only "KEY"."""
+        """Names of the labelled frames."""
+        return tuple(self.labelled)
 
-    @abstractmethod
+    @cached_property
+    def scores(self) -> ScoreRange | None:
+        """The range of the scores of all boxes, as in the files; None without any."""
+        return ScoreRange.of(truth.score for frame in self.labelled.values() for truth in frame.truths)
+
+    @property
+    def sizes_m(self) -> Iterable[Float64[np.ndarray, "3"]]:
+        """The size of each box, as `OrientedBox.size_m`."""
+        return (truth.box.size_m for frame in self.labelled.values() for truth in frame.truths)
+
     def truths(self, name: str, frame: Frame) -> list[Truth]:
-        """Returns the accepted objects of one of these frames, in the camera frame.
+        """The accepted objects of a frame, in the camera frame; with scores if all of the dataset are in 0..1.
 
         Args:
             frame: the project's frame of that name; formats whose boxes are not in the camera frame use its
@@ -96,37 +103,45 @@ class LabelSet(ABC):
             FormatError: the frame lacks what the format needs.
             ValueError: the transform to the camera frame moves a box out of range.
         """
+        truths = self._in_camera(name, self._chosen(name, _ACCEPTED), lambda: frame)
+        return truths if self._are_confident else [replace(truth, score=None) for truth in truths]
 
     def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
-        """Returns the objects of one of these frames that nobody has rejected, with their scores as in the file.
+        """The objects of a frame that nobody has rejected, with their scores as in the file.
 
         Args:
             read: reads the project's frame, which takes long; called only if the format needs it.
         """
-        return self.truths(name, read())
+        return self._in_camera(name, self._chosen(name, _OPEN), read)
 
     def classes(self, name: str) -> list[str]:
-        """Returns the classes of the boxes that `suggested` may return; no frame is read."""
-        return []
+        """The classes of the boxes that `suggested` may return; no frame is read."""
+        return [each.label for each in self._chosen(name, _OPEN)]
 
     def values_of(self, name: str) -> Values:
-        """Returns the values of the attributes of one of these frames."""
-        return {}
+        """The values of the attributes of a frame."""
+        return self._frame(name).values
 
     def values_of_boxes(self, name: str) -> Sequence[Values]:
-        """Returns the values of the attributes of each box of one of these frames; no frame is read."""
-        return []
+        """The values of the attributes of each box of a frame; no frame is read."""
+        return [each.attributes for each in self._frame(name).truths]
 
     def left_out_of(self, name: str) -> LeftOut:
-        """Returns what is left out of one of these frames."""
-        return LeftOut()
+        """What is left out of a frame."""
+        frame, accepted = self._frame(name), self._chosen(name, _ACCEPTED)
+        return LeftOut(
+            len(frame.truths) - len(accepted),
+            len(frame.truths) - len(self._chosen(name, _OPEN)),
+            0 if self._are_confident else sum(each.score is not None for each in accepted),
+            frame.flat,
+        )
 
     def unseen(self) -> int:
-        """Returns the number of boxes that are in none of the images whose frames have been read."""
+        """The number of boxes that are in none of the images whose frames have been read."""
         return 0
 
     def in_project(self, project: Project) -> LabelSet:
-        """Returns the boxes by the project's frames, if only its recordings tell which these are.
+        """The boxes by the project's frames, if only its recordings tell which these are.
 
         Raises:
             FormatError: none of them is in the project.
@@ -135,8 +150,29 @@ class LabelSet(ABC):
         return self
 
     def placed(self, project: Project, recording: str | None = None) -> MatchedFrames:
-        """Returns the labelled frames as frames of a project; some may be of several."""
+        """The labelled frames as frames of a project; some may be of several."""
         return match_frames(project, self.path, self.frames, recording)
+
+    @property
+    def _are_confident(self) -> bool:
+        return self.scores is None or self.scores.are_confidences
+
+    def _frame(self, name: str) -> LabelledFrame:
+        return self.labelled[name]
+
+    def _chosen(self, name: str, states: Collection[ReviewState | None]) -> Sequence[Truth]:
+        frame = self._frame(name)
+        if frame.states is None:
+            return frame.truths
+        return [each for each, state in zip(frame.truths, frame.states, strict=True) if state in states]
+
+    def _in_camera(self, name: str, truths: Sequence[Truth], read: Callable[[], Frame]) -> list[Truth]:
+        return transformed(truths, self._frame(name).T_camera(read))
+
+
+# States of the boxes that are taken; None = the format has none.
+_ACCEPTED: frozenset[ReviewState | None] = frozenset({None, *REVIEWED})
+_OPEN = _ACCEPTED | {ReviewState.PROPOSED}
 
 
 def truths_of(dataset: LabelSet, name: str, frame: Frame) -> Sequence[Truth]:
@@ -163,79 +199,6 @@ def near(dataset: LabelSet, name: str, read: Callable[[], Sequence[Truth]]) -> S
     except ValueError as error:
         raise FormatError(dataset.path, f"{name}: {error}; correct its boxes or its calibration") from error
     return truths
-
-
-@dataclass(frozen=True)
-class PlacedBoxes(LabelSet):
-    """Boxes that belong to one frame each.
-
-    Attributes:
-        labelled: the frames by their names.
-    """
-
-    path: Path
-    labelled: Mapping[str, LabelledFrame]
-
-    @property
-    def frames(self) -> Sequence[str]:
-        return tuple(self.labelled)
-
-    @cached_property
-    def scores(self) -> ScoreRange | None:  # type: ignore[override]
-        return ScoreRange.of(truth.score for frame in self.labelled.values() for truth in frame.truths)
-
-    @property
-    def sizes_m(self) -> Iterable[Float64[np.ndarray, "3"]]:  # type: ignore[override]
-        return (truth.box.size_m for frame in self.labelled.values() for truth in frame.truths)
-
-    def truths(self, name: str, frame: Frame) -> list[Truth]:
-        """As `LabelSet.truths`. Scores are kept only if all of the dataset are in 0..1, as confidences are."""
-        accepted = self._chosen(name, lambda state: state is None or state in REVIEWED)
-        truths = self._in_camera(name, accepted, lambda: frame)
-        return truths if self._are_confident else [replace(truth, score=None) for truth in truths]
-
-    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
-        return self._in_camera(name, self._chosen(name, _is_open), read)
-
-    def classes(self, name: str) -> list[str]:
-        return [each.label for each in self._chosen(name, _is_open)]
-
-    def values_of(self, name: str) -> Values:
-        return self._frame(name).values
-
-    def values_of_boxes(self, name: str) -> Sequence[Values]:
-        return [each.attributes for each in self._frame(name).truths]
-
-    def left_out_of(self, name: str) -> LeftOut:
-        accepted = self._chosen(name, lambda state: state is None or state in REVIEWED)
-        frame = self._frame(name)
-        every = frame.truths
-        return LeftOut(
-            len(every) - len(accepted),
-            len(every) - len(self._chosen(name, _is_open)),
-            0 if self._are_confident else sum(each.score is not None for each in accepted),
-            frame.flat,
-        )
-
-    @property
-    def _are_confident(self) -> bool:
-        return self.scores is None or self.scores.are_confidences
-
-    def _frame(self, name: str) -> LabelledFrame:
-        return self.labelled[name]
-
-    def _chosen(self, name: str, is_chosen: Callable[[ReviewState | None], bool]) -> Sequence[Truth]:
-        frame = self._frame(name)
-        if frame.states is None:
-            return frame.truths
-        return [each for each, state in zip(frame.truths, frame.states, strict=True) if is_chosen(state)]
-
-    def _in_camera(self, name: str, truths: Sequence[Truth], read: Callable[[], Frame]) -> list[Truth]:
-        return transformed(truths, self._frame(name).T_camera(read))
-
-
-def _is_open(state: ReviewState | None) -> bool:
-    return state is not ReviewState.REJECTED
 
 
 def transformed(truths: Sequence[Truth], T: RigidTransform | None) -> list[Truth]:

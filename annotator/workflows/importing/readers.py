@@ -30,7 +30,7 @@ from annotator.recordings.sunrgbd import read_extracted_calibration
 from annotator.types import Frame, Truth
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing.label_set import LabelSet, PlacedBoxes, transformed
+from annotator.workflows.importing.label_set import LabelSet, transformed
 
 
 def _sunrgbd(path: Path) -> dict[str, LabelledFrame]:
@@ -40,8 +40,8 @@ def _sunrgbd(path: Path) -> dict[str, LabelledFrame]:
     return read_extracted_folder(path, lambda file: read_extracted_calibration(file).T_camera_upright)
 
 
-@dataclass(frozen=True)
-class _SampleBoxes(PlacedBoxes):
+@dataclass(eq=False)
+class _SampleBoxes(LabelSet):
     """Boxes around a vehicle, of which each camera's frame gets those that its image shows.
 
     `labelled` are by their sample, in the frame of the recordings' own labels.
@@ -110,10 +110,10 @@ class ArgoverseLabels(_SampleBoxes):
         )
 
 
-def _nuscenes(path: Path, on_fault: OnFault) -> PlacedBoxes:
+def _nuscenes(path: Path, on_fault: OnFault) -> LabelSet:
     """A file of results, or a folder of tables."""
     if not path.is_file():
-        return PlacedBoxes(path, read_nuscenes(path, on_fault))
+        return LabelSet(path, read_nuscenes(path, on_fault))
     return NuScenesResults(path, {sample: LabelledFrame(truths) for sample, truths in read_results(path)})
 
 
@@ -128,7 +128,7 @@ def _boxes(path: Path) -> dict[str, LabelledFrame]:
     return {key: LabelledFrame(truths) for key, truths in read_boxes(boxes_file(path)).items()}
 
 
-Reader = Callable[[Path, AngleUnit | None, OnFault], Mapping[str, LabelledFrame] | PlacedBoxes]
+Reader = Callable[[Path, AngleUnit | None, OnFault], Mapping[str, LabelledFrame] | LabelSet]
 
 READERS: dict[BoxFormat, Reader] = {
     BoxFormat.RCV: lambda path, angles, on_fault: labelled_frames(path),
@@ -147,7 +147,7 @@ READERS: dict[BoxFormat, Reader] = {
 
 def placed_boxes(
     format: BoxFormat, path: Path, angles: AngleUnit | None = None, on_fault: OnFault = raise_fault
-) -> PlacedBoxes:
+) -> LabelSet:
     """Reads all labels at `path`; the sizes of the boxes are not judged.
 
     Args:
@@ -155,7 +155,7 @@ def placed_boxes(
         on_fault: takes faults of single boxes, which are skipped then; most readers raise at the first one.
     """
     read = READERS[format](path, angles, on_fault)
-    return read if isinstance(read, PlacedBoxes) else PlacedBoxes(path, read)
+    return read if isinstance(read, LabelSet) else LabelSet(path, read)
 
 
 def read_labels(format: BoxFormat, path: Path, angles: AngleUnit | None = None) -> LabelSet:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
+from annotator.formats.frame_names import LabelledFrame
 from annotator.formats.table import BoxFormat
 from annotator.project import Project, StoredFrame
 from annotator.recordings import Recording
@@ -54,7 +55,7 @@ class RecordedLabels(LabelSet):
             raise ConfigError(
                 f"no 3D boxes lie beside the recordings ({names}); name the file or folder that holds them"
             )
-        self.path = next(iter(self._opened.values())).path
+        super().__init__(next(iter(self._opened.values())).path, {})
         self.flat = sum(map(_require_units, self._opened.values()))
         if all(map(one_file_a_frame, self._opened.values())):
             self.faults_of_frames = (FrameError, FormatError)
@@ -81,6 +82,13 @@ class RecordedLabels(LabelSet):
         recording = self._opened[stored.recording_id]
         truths = load_truth(recording, recording.indices[stored.key], frame)
         return [each if each.score is None else replace(each, score=None) for each in truths]
+
+    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
+        return self.truths(name, read())
+
+    def _frame(self, name: str) -> LabelledFrame:
+        """Nothing is known before the frame is read."""
+        return LabelledFrame(())
 
 
 def _require_units(recording: Recording) -> int:

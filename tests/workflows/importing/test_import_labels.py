@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from annotator.formats.coco import write_coco
-from annotator.formats.frame_names import PictureLabels
+from annotator.formats.frame_names import LabelledFrame, PictureLabels
 from annotator.project import NewLabel, Project, WriteContext, new_action
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute
-from annotator.types import Box2D, BoxKind, Frame, OrientedBox, ReviewState, Source, Truth
+from annotator.types import Box2D, BoxKind, OrientedBox, ReviewState, Source, Truth
 from annotator.types.errors import FormatError
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.importing import (
@@ -40,19 +40,8 @@ from annotator.workflows.recorded.own_labels import import_own_labels
 BOX = OrientedBox.from_parts(np.array([0.1, 0.2, 3.0]), np.eye(3), np.array([0.5, 0.4, 1.8]))
 
 
-@dataclass(frozen=True)
-class Given(LabelSet):
-    """Labels given by a test."""
-
-    boxes: dict[str, list[Truth]]
-    path: Path = Path("given")
-
-    @property
-    def frames(self) -> Sequence[str]:
-        return tuple(self.boxes)
-
-    def truths(self, name: str, frame: Frame) -> list[Truth]:
-        return self.boxes[name]
+def labels_of(boxes: dict[str, list[Truth]]) -> LabelSet:
+    return LabelSet(Path("given"), {name: LabelledFrame(truths) for name, truths in boxes.items()})
 
 
 @pytest.mark.parametrize("name", ["rcv", "openlabel"])
@@ -71,7 +60,7 @@ def test_boxes_around_what_is_seen_stay_such(
 def test_labelled_frames_are_not_changed_and_other_classes_are_counted(people: Project) -> None:
     first, second = people.frames.of()[:2]
     people.labels.create(first.id, [NewLabel("person", BOX)], WriteContext(0, "me", Source.MANUAL))
-    given = Given(
+    given = labels_of(
         {
             f"people/{first.key}": [Truth("person", BOX)],
             f"people/{second.key}": [Truth("person", BOX, 4), Truth("horse", BOX)],
@@ -110,7 +99,7 @@ def test_scores_of_kitti_results_are_kept_only_if_they_are_confidences(
 def test_finalised_frames_are_not_changed(people: Project) -> None:
     first, second = people.frames.of()[:2]
     people.frames.finalise(first.id, WriteContext(0, "me"))
-    given = Given({f"people/{frame.key}": [Truth("person", BOX)] for frame in (first, second)})
+    given = labels_of({f"people/{frame.key}": [Truth("person", BOX)] for frame in (first, second)})
     done = import_labels(people, given)
     assert (done.frames, done[Note.ALREADY]) == (1, 1) and people.labels.of_frame(first.id) == ()
     assert not create_if_unlabelled(people, first.id, [NewLabel("person", BOX)], AUTHOR)
@@ -120,7 +109,7 @@ def test_finalised_frames_are_not_changed(people: Project) -> None:
 def test_a_key_of_several_recordings_needs_the_recording(make_project: Callable[..., Project], generated: Path) -> None:
     project = make_project(generated / "people", generated / "hands", classes=("person", "hand"))
     key = project.frames.of()[0].key
-    given = Given({key: [Truth("hand", BOX)]})
+    given = labels_of({key: [Truth("hand", BOX)]})
     with pytest.raises(FormatError, match=r"is a frame of several recordings \(people, hands\)"):
         import_labels(project, given)
     assert import_labels(project, given, "hands").boxes == {"hand": 1}
@@ -129,12 +118,12 @@ def test_a_key_of_several_recordings_needs_the_recording(make_project: Callable[
 def test_frames_of_unknown_recordings_are_unmatched(people: Project) -> None:
     """Other recordings may have the same keys. Only the single recording of a dataset is taken as renamed."""
     first, second = (frame.key for frame in people.frames.of()[:2])
-    both = Given({f"people/{first}": [Truth("person", BOX)], f"street/{second}": [Truth("person", BOX)]})
+    both = labels_of({f"people/{first}": [Truth("person", BOX)], f"street/{second}": [Truth("person", BOX)]})
     done = import_labels(people, both)
     assert (done.frames, tuple(done.of(Note.UNMATCHED)), done.of(Note.RENAMED)) == (1, (f"street/{second}",), {})
     with pytest.raises(FormatError, match="none of the dataset's frames"):
-        import_labels(people, Given({f"street/{first}": [], f"yard/{second}": []}))
-    done = import_labels(people, Given({f"other/{second}": [Truth("person", BOX)]}))
+        import_labels(people, labels_of({f"street/{first}": [], f"yard/{second}": []}))
+    done = import_labels(people, labels_of({f"other/{second}": [Truth("person", BOX)]}))
     assert (done.frames, done.of(Note.RENAMED)) == (1, {"other of the labels was assigned to people": 1})
 
 
@@ -147,7 +136,7 @@ def test_frames_of_unknown_recordings_are_unmatched(people: Project) -> None:
 )
 def test_unmatched_frames_are_errors_and_change_nothing(people: Project, names: list[str], problem: str) -> None:
     with pytest.raises(FormatError, match=problem):
-        import_labels(people, Given({name: [Truth("person", BOX)] for name in names}))
+        import_labels(people, labels_of({name: [Truth("person", BOX)] for name in names}))
     assert not any(people.labels.of_frame(frame.id) for frame in people.frames.of())
 
 

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from annotator.formats.frame_names import LabelledFrame
 from annotator.project import Project, StoredFrame, WriteContext
 from annotator.types import Box2D, BoxKind, DetectorKind, Frame, OrientedBox, Source, Truth
 from annotator.types.errors import ConfigError, FrameError
@@ -40,12 +41,8 @@ class Changed(LabelSet):
         change: Callable[[str, list[Truth]], list[Truth]],
         frames: Sequence[str] | None = None,
     ) -> None:
-        self.base, self.change, self.path = base, change, base.path
-        self._frames = base.frames if frames is None else frames
-
-    @property
-    def frames(self) -> Sequence[str]:
-        return self._frames
+        super().__init__(base.path, dict.fromkeys(base.frames if frames is None else frames, LabelledFrame(())))
+        self.base, self.change = base, change
 
     def truths(self, name: str, frame: Frame) -> list[Truth]:
         return self.change(name, self.base.truths(name, frame))
