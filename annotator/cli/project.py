@@ -149,8 +149,7 @@ def run_backup(
     with counted("copying files") as progress:
         backup = back_up(project, out, models, progress=progress)
     manifest = backup.manifest
-    labels, events = amount(manifest.labels, "label"), amount(manifest.events, "event")
-    print_line(f"{out}: {labels}, {events}, {amount(manifest.count, 'file')}")
+    print_line(f"{out}: {amount(manifest.labels, 'label')}, {amount(manifest.count, 'file')}")
     print_missing(backup.missing)
     print_line(f"restore it with: annotator project restore {out} NAME")
 
@@ -172,8 +171,7 @@ def run_restore(file: Path, name: str | None = None, /, *, projects: options.Pro
     with counted("unpacking files") as progress:
         path, manifest = restore(file, options.projects_root(projects), name, progress)
     moment = datetime.fromtimestamp(manifest.created_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
-    labels, events = amount(manifest.labels, "label"), amount(manifest.events, "event")
-    print_line(f"restored {path}: {labels}, {events}, as of {moment}")
+    print_line(f"restored {path}: {amount(manifest.labels, 'label')}, as of {moment}")
 
 
 FAULTY = 1
