@@ -105,16 +105,15 @@ def next_views(
         return None
     frustum = with_normals(frame, mask).select(mask)
     # as in the recursion, so that these views look like those that the detector will process
-    front, side = frustum_views(frustum, axes, config)
-    label = image_box.label
-    drawn = [[front.box_px(front_span, label)], [side.box_px(side_span, label)]]
-    box = make_pair(axes, (front, side), drawn[0], drawn[1], 0, 0).box
-    cloud = cut_cloud(frustum, box, (front, side))
+    views = frustum_views(frustum, axes, config)
+    drawn = [view.box_px(span, image_box.label) for view, span in zip(views, (front_span, side_span), strict=True)]
+    box = make_pair(views, drawn[0], drawn[1]).box
+    cloud = cut_cloud(frustum, box, views)
     if len(cloud) < MIN_POINTS:
         return None
     if next_axes is None:
         next_axes = find_axes(cloud, Strategy.NORMALS, axes, held_direction(frame.up, config), config).axes
-    show = box_corners(shown_box(box, any_cut((front, side), drawn, (0, 0))))
+    show = box_corners(shown_box(box, any_cut(views, [[drawn[0]], [drawn[1]]], (0, 0))))
     front, side = render_pairs(cloud, [next_axes], config.view_px, show)
     return front, side
 

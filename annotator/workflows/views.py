@@ -221,10 +221,8 @@ def _cut(frustum: PointCloud, steps: Steps, size_px: SizePx) -> PointCloud:
     views = [
         view.geometry.view(np.zeros((*size_px(view)[::-1], 3), np.uint8)) for view in pair if view.geometry is not None
     ]
-    front, side = ([replace(view.boxes[0], score=1.0)] for view in pair)
-    both = views[0], views[1]
-    box = make_pair(both[0].axes, both, front, side, 0, 0).box
-    return cut_cloud(frustum, box, both)
+    front, side = (replace(view.boxes[0], score=1.0) for view in pair)
+    return cut_cloud(frustum, make_pair(views, front, side).box, views)
 
 
 COCO = "coco.json"
