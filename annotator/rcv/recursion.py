@@ -127,7 +127,6 @@ class StepPlan:
 
     strategy: Strategy
     fallback: tuple[str, ...]
-    axes: tuple[Float64[np.ndarray, "3 3"], ...]
     views: tuple[PseudoView, ...]
 
 
@@ -162,14 +161,13 @@ def plan_step(state: ObjectState, config: RcvConfig) -> StepPlan:
     else:
         chosen = find_axes(state.cloud, config.strategy, state.axes, state.up, config)
         strategy, fallback, axes = chosen.strategy, chosen.fallback, [chosen.axes]
-    fallback = state.notes + fallback
     views: Sequence[PseudoView]
     if state.is_first:
         views = frustum_views(state.cloud, axes[0], config, enlarge_deep=state.frustum is None)
     else:
         show = None if state.box is None else box_corners(shown_box(state.box, state.is_cut))
         views = render_pairs(state.cloud, axes, config.view_px, show)
-    return StepPlan(strategy, fallback, tuple(axes), tuple(views))
+    return StepPlan(strategy, state.notes + fallback, tuple(views))
 
 
 def shown_box(box: OrientedBox, is_cut: bool) -> OrientedBox:
