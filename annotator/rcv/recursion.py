@@ -209,8 +209,8 @@ def absorb_step(
     if state.is_first:
         # The consensus does not use the first step's intervals: the object is small in these views, and their edges
         # have a bias and three times the error of later ones.
-        objects = measure_objects(plan.views, boxes, state.cloud)
-        return [_advance(state, plan, boxes, each, config) for each in objects or [None]]
+        objects: Sequence[Measurement | None] = measure_objects(plan.views, boxes, state.cloud) or [None]
+        return [_advance(state, plan, boxes, each, config) for each in objects]
     if plan.strategy is not Strategy.CONSENSUS:
         measured = measure_pair(plan.views, boxes, state.box)
     elif config.box_kind is BoxKind.SILHOUETTE:
