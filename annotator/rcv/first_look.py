@@ -101,6 +101,14 @@ def expected_outline(camera: Camera, image_box: Box2D, config: RcvConfig) -> Out
     return Outline(outline, np.hypot(noise_px, SILHOUETTE_SPREAD * sides))
 
 
+def edges_normalised(camera: Camera, ends_px: tuple[float, float, float, float]) -> Float64[np.ndarray, "4"]:
+    """Left, right, top and bottom of a rectangle on the image as x/z and y/z, at the middles of its sides."""
+    left, right, top, bottom = ends_px
+    u, v = (left + right) / 2, (top + bottom) / 2
+    xy = undistort_px(camera, np.array([(left, v), (right, v), (u, top), (u, bottom)]))
+    return np.array([xy[0, 0], xy[1, 0], xy[2, 1], xy[3, 1]])
+
+
 def image_planes(camera: Camera, outline: Outline, depth_m: float) -> Intervals | None:
     """The planes through the camera and the edges of an outline, as intervals of the fit with one known end.
 
@@ -112,10 +120,8 @@ def image_planes(camera: Camera, outline: Outline, depth_m: float) -> Intervals 
     """
     image_box = outline.box
     known = ~np.array(edges_at_border(camera, image_box, BORDER_PX))
-    u_middle, v_middle = (image_box.x_min + image_box.x_max) / 2, (image_box.y_min + image_box.y_max) / 2
-    sides_px = [(image_box.x_min, v_middle), (image_box.x_max, v_middle)]
-    ends_px = [(u_middle, image_box.y_min), (u_middle, image_box.y_max)]
-    (left, _), (right, _), (_, top), (_, bottom) = undistort_px(camera, np.array(sides_px + ends_px))
+    edges_px = (image_box.x_min, image_box.x_max, image_box.y_min, image_box.y_max)
+    left, right, top, bottom = edges_normalised(camera, edges_px)
     normals = np.array([(-1.0, 0.0, left), (1.0, 0.0, -right), (0.0, -1.0, top), (0.0, 1.0, -bottom)])
     known &= np.isfinite(normals).all(axis=1)
     if not known.any():

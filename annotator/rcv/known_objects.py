@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -105,16 +106,15 @@ def next_views(
         return None
     frustum = with_normals(frame, mask).select(mask)
     # as in the recursion, so that these views look like those that the detector will process
-    front, side = frustum_views(frustum, axes, config)
-    label = image_box.label
-    drawn = [[front.box_px(front_span, label)], [side.box_px(side_span, label)]]
-    box = make_pair(axes, (front, side), drawn[0], drawn[1], 0, 0).box
-    cloud = cut_cloud(frustum, box, (front, side))
+    views = frustum_views(frustum, axes, config)
+    drawn = [view.box_px(span, image_box.label) for view, span in zip(views, (front_span, side_span), strict=True)]
+    box = make_pair(views, drawn[0], drawn[1]).box
+    cloud = cut_cloud(frustum, box, views)
     if len(cloud) < MIN_POINTS:
         return None
     if next_axes is None:
         next_axes = find_axes(cloud, Strategy.NORMALS, axes, held_direction(frame.up, config), config).axes
-    show = box_corners(shown_box(box, any_cut((front, side), drawn, (0, 0))))
+    show = box_corners(shown_box(box, any_cut(views, [[drawn[0]], [drawn[1]]], (0, 0))))
     front, side = render_pairs(cloud, [next_axes], config.view_px, show)
     return front, side
 
@@ -164,24 +164,36 @@ def boxes_of_known(frame: Frame, truths: Sequence[Truth], config: RcvConfig) -> 
         frame: with cloud; missing normals are estimated.
         truths: all labelled objects of the classes to learn.
     """
-    known = _Known(frame, truths)
+    points = [int(contains(truth.box, frame.cloud.xyz_m).sum()) for truth in truths]
     outside, hidden, visible = [], [], []
     for index, truth in enumerate(truths):
         image_box = box_on_image(frame.camera, truth.box, truth.label)
         if image_box is None:
             outside.append(truth.label)
-        elif known.points[index] == 0 and _is_hidden(frame, truth, image_box):
+        elif points[index] == 0 and _is_hidden(frame, truth, image_box):
             hidden.append(truth.label)
         else:
             visible.append((index, image_box))
-    frame = frame_with_normals(frame, [box for index, box in visible if known.points[index]])
+    frame = frame_with_normals(frame, [box for index, box in visible if points[index]])
+
+    def drawn_on(view: PseudoView, own: int) -> tuple[Box2D, ...]:
+        """The boxes of all objects that a view shows well enough, `own` first; empty if that one is not shown."""
+        inside = [int(contains(truth.box, view.xyz_m).sum()) for truth in truths]
+        shown = [index for index, count in enumerate(inside) if is_shown(count, points[index])]
+        drawn = {index: project_box(view, truths[index].box, truths[index].label) for index in shown}
+        boxes = [drawn[index] for index in sorted(drawn, key=lambda index: index != own)]
+        return tuple(box for box in boxes if box is not None) if drawn.get(own) is not None else ()
+
+    def drawn_first(view: PseudoView, own: int) -> Box2D | None:
+        return next(iter(drawn_on(view, own)), None)
+
     objects, without_views = [], []
     for index, image_box in visible:
-        known_object = known.follow(frame, index, image_box, config) if known.points[index] else None
-        if known_object is None:
+        drawn = draw_object(frame, image_box, partial(drawn_first, own=index), config)
+        if drawn is None:
             without_views.append(truths[index].label)
         else:
-            objects.append(known_object)
+            objects.append(replace(drawn, views=tuple(replace(d, boxes=drawn_on(d.view, index)) for d in drawn.views)))
     on_image = tuple(box for _, box in visible)
     return KnownFrame(on_image, tuple(objects), tuple(outside), tuple(hidden), tuple(without_views))
 
@@ -194,47 +206,3 @@ def _is_hidden(frame: Frame, truth: Truth, image_box: Box2D) -> bool:
     depth_m = frame.cloud.xyz_m[in_frustum(frame.camera, frame.cloud.xyz_m, image_box), 2]
     nearest_m = max(float(box_corners(truth.box)[:, 2].min()), NEAR_M)
     return len(depth_m) > 0 and float((depth_m < nearest_m).mean()) >= HIDING_SHARE
-
-
-class _Known:
-    """The objects of a frame, the number of points in each, and their corners."""
-
-    def __init__(self, frame: Frame, truths: Sequence[Truth]) -> None:
-        self.truths = truths
-        self.points = [int(contains(truth.box, frame.cloud.xyz_m).sum()) for truth in truths]
-        self.corners_m = np.array([box_corners(truth.box) for truth in truths]).reshape(-1, 8, 3)
-
-    def follow(self, frame: Frame, index: int, image_box: Box2D, config: RcvConfig) -> DrawnObject | None:
-        """Takes one object through both steps; None if too few points are left."""
-        truth = self.truths[index]
-        # cached, since both views of a step have the same points; the array is kept so that its id stays valid
-        shown: dict[int, tuple[np.ndarray, tuple[int, ...]]] = {}
-
-        def objects_on(view: PseudoView) -> tuple[int, ...]:
-            if id(view.xyz_m) not in shown:
-                shown[id(view.xyz_m)] = (view.xyz_m, self._shown(view.xyz_m))
-            return shown[id(view.xyz_m)][1]
-
-        def draw(view: PseudoView) -> Box2D | None:
-            return project_box(view, truth.box, truth.label) if index in objects_on(view) else None
-
-        drawn = draw_object(frame, image_box, draw, config)
-        if drawn is None:
-            return None
-        views = [replace(d, boxes=(d.box, *self._others(d.view, index, objects_on(d.view)))) for d in drawn.views]
-        return DrawnObject(image_box, tuple(views))
-
-    def _others(self, view: PseudoView, target: int, shown: Sequence[int]) -> list[Box2D]:
-        others = [self.truths[index] for index in shown if index != target]
-        boxes = [project_box(view, truth.box, truth.label) for truth in others]
-        return [box for box in boxes if box is not None]
-
-    def _shown(self, xyz_m: np.ndarray) -> tuple[int, ...]:
-        """Indices of the objects of which these points show enough for a label."""
-        low, high = xyz_m.min(axis=0), xyz_m.max(axis=0)
-        near = ((self.corners_m.min(axis=1) <= high) & (self.corners_m.max(axis=1) >= low)).all(axis=1)
-        return tuple(
-            index
-            for index in np.flatnonzero(near).tolist()
-            if is_shown(int(contains(self.truths[index].box, xyz_m).sum()), self.points[index])
-        )

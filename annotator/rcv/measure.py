@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from jaxtyping import Float64
@@ -41,7 +42,7 @@ START_DOUBT = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A front and a side detection, as indices into the views' boxes, and the 3D box that they give.
+    """The 3D box that a front and a side detection give.
 
     Attributes:
         axes: rows = axes of the front view.
@@ -51,8 +52,6 @@ class Pair:
         score: geometric mean of the detections' scores.
     """
 
-    front: int
-    side: int
     axes: Float64[np.ndarray, "3 3"]
     spans_m: Float64[np.ndarray, "3 2"]
     shared_overlap: float
@@ -72,61 +71,18 @@ def span_box(axes: Float64[np.ndarray, "3 3"], spans_m: Float64[np.ndarray, "3 2
     return OrientedBox.from_parts(center, rotation, size)
 
 
-def make_pair(
-    axes: Float64[np.ndarray, "3 3"],
-    views: tuple[PseudoView, PseudoView],
-    front_boxes: Sequence[Box2D],
-    side_boxes: Sequence[Box2D],
-    front: int,
-    side: int,
-) -> Pair:
-    """Fuses a front and a side detection; their intervals on the shared axis are averaged, weighted by score."""
-    a, b = front_boxes[front], side_boxes[side]
-    across, shared_front = views[0].interval_m(a)
-    depth, shared_side = views[1].interval_m(b)
-    weight = a.score / max(a.score + b.score, 1e-9)
+def make_pair(views: Sequence[PseudoView], front: Box2D, side: Box2D) -> Pair:
+    """Fuses the detections on a front and its side view; their shared intervals are averaged, weighted by score."""
+    across, shared_front = views[0].interval_m(front)
+    depth, shared_side = views[1].interval_m(side)
+    weight = front.score / max(front.score + side.score, 1e-9)
     shared = weight * shared_front + (1 - weight) * shared_side
     (low_a, high_a), (low_b, high_b) = shared_front, shared_side
     both = max(min(high_a, high_b) - max(low_a, low_b), 0.0)
     overlap = float(both / max(max(high_a, high_b) - min(low_a, low_b), 1e-12))
     disagreement = float(np.abs(shared_front - shared_side).mean() / max(shared[1] - shared[0], 1e-9))
     spans = np.stack([across, shared, depth])
-    return Pair(front, side, axes, spans, overlap, disagreement, float(np.sqrt(a.score * b.score)))
-
-
-def pair_all(
-    axes: Float64[np.ndarray, "3 3"],
-    views: tuple[PseudoView, PseudoView],
-    front_boxes: Sequence[Box2D],
-    side_boxes: Sequence[Box2D],
-    cloud: PointCloud,
-) -> list[Pair]:
-    """The pairs of several objects in one frustum, best first; each detection is used at most once.
-
-    Objects on the same floor overlap on the shared axis even in wrong pairs. So a pair is also ranked by its support:
-    the IoU of the sets of points in its front box and in its side box.
-    """
-    along = cloud.xyz_m @ axes.T.astype(np.float32)
-    ranked: list[tuple[float, Pair]] = []
-    for i in range(len(front_boxes)):
-        for j in range(len(side_boxes)):
-            pair = make_pair(axes, views, front_boxes, side_boxes, i, j)
-            if pair.shared_overlap < MIN_SHARED_OVERLAP:
-                continue
-            low, high = (pair.spans_m + cut_margin_m(pair.box, views) * np.array([-1.0, 1.0])).T.astype(np.float32)
-            across, shared, depth = ((along >= low) & (along <= high)).T
-            in_both = np.count_nonzero(across & shared & depth)
-            if in_both:
-                support = in_both / np.count_nonzero(shared & (across | depth))
-                ranked.append((support * pair.shared_overlap * pair.score, pair))
-    ranked.sort(key=lambda item: -item[0])
-    chosen: list[Pair] = []
-    for _, pair in ranked:
-        if all(pair.front != other.front and pair.side != other.side for other in chosen):
-            chosen.append(pair)
-        if len(chosen) == MOST_OBJECTS:
-            break
-    return chosen
+    return Pair(views[0].axes, spans, overlap, disagreement, float(np.sqrt(front.score * side.score)))
 
 
 def of_class(boxes: Sequence[Box2D], detected: str, label: str, min_score: float) -> tuple[Box2D, ...]:
@@ -232,23 +188,44 @@ def choose_all(
     return tuple(chosen)
 
 
+def measure_objects(
+    views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], cloud: PointCloud
+) -> list[Measurement]:
+    """The pairs of several objects in one frustum, best first; each detection is used at most once.
+
+    Objects on the same floor overlap on the shared axis even in wrong pairs. So a pair is also ranked by its support:
+    the IoU of the sets of points in its front box and in its side box.
+    """
+    along = cloud.xyz_m @ views[0].axes.T.astype(np.float32)
+    ranked: list[tuple[float, Pair, tuple[int, int]]] = []
+    for used in product(*(range(len(on_view)) for on_view in boxes)):
+        pair = make_pair(views, boxes[0][used[0]], boxes[1][used[1]])
+        if pair.shared_overlap < MIN_SHARED_OVERLAP:
+            continue
+        low, high = (pair.spans_m + cut_margin_m(pair.box, views) * np.array([-1.0, 1.0])).T.astype(np.float32)
+        across, shared, depth = ((along >= low) & (along <= high)).T
+        in_both = np.count_nonzero(across & shared & depth)
+        if in_both:
+            support = in_both / np.count_nonzero(shared & (across | depth))
+            ranked.append((support * pair.shared_overlap * pair.score, pair, (used[0], used[1])))
+    ranked.sort(key=lambda item: -item[0])
+    chosen: list[tuple[Pair, tuple[int, int]]] = []
+    for _, pair, (front, side) in ranked:
+        if len(chosen) < MOST_OBJECTS and all(front != used[0] and side != used[1] for _, used in chosen):
+            chosen.append((pair, (front, side)))
+    return [_of_pair(pair, used, any_cut(views, boxes, used)) for pair, used in chosen]
+
+
 def measure_pair(
-    axes: Float64[np.ndarray, "3 3"],
-    views: Sequence[PseudoView],
-    boxes: Sequence[Sequence[Box2D]],
-    last: OrientedBox | None,
+    views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], last: OrientedBox | None
 ) -> Measurement | None:
     """The paper's step: a pair of one front and one side detection; None if a view has none."""
-    front, side = choose_all(views, boxes, last)
-    if front is None or side is None:
-        return None
-    pair = make_pair(axes, (views[0], views[1]), boxes[0], boxes[1], front, side)
-    used = (front, side)
-    return Measurement(pair.box, axes, pair.disagreement, pair.score, used, cut=any_cut(views, boxes, used))
+    used = choose_all(views, boxes, last)
+    pairs = _pairs(views, boxes, used)
+    return _of_pair(pairs[0], used, any_cut(views, boxes, used)) if pairs else None
 
 
 def measure_consensus(
-    axes: Sequence[Float64[np.ndarray, "3 3"]],
     views: Sequence[PseudoView],
     boxes: Sequence[Sequence[Box2D]],
     last: OrientedBox | None,
@@ -277,8 +254,7 @@ def measure_consensus(
     known = intervals if bounds is None else Intervals.concatenate([intervals, bounds])
     fit = fit_box(known, up, None if last is None else last.rotation)
     if fit is None:
-        pairs = _pairs(axes, views, boxes, used)
-        return _least_volume(pairs, used, intervals, (UNDETERMINED,))
+        return _least_volume(_pairs(views, boxes, used), used, intervals, UNDETERMINED)
     box = OrientedBox.from_parts(fit.center_m, fit.rotation, fit.size_m)
     score = float(np.mean([b.score for _, b in detected])) * len(detected) / len(views)
     spread = fit.residual_m / float(box.size_m.mean())
@@ -297,19 +273,17 @@ def _start_intervals(start_box: OrientedBox, measured: Intervals) -> Intervals:
     return Intervals(axes, ends, np.full((3, 2), START_DOUBT * float(start_box.size_m.mean())))
 
 
-def _pairs(
-    axes: Sequence[Float64[np.ndarray, "3 3"]],
-    views: Sequence[PseudoView],
-    boxes: Sequence[Sequence[Box2D]],
-    used: Sequence[int | None],
-) -> list[Pair]:
-    pairs = []
-    for k, rows in enumerate(axes):
-        front, side = used[2 * k], used[2 * k + 1]
-        if front is not None and side is not None:
-            two = (views[2 * k], views[2 * k + 1])
-            pairs.append(make_pair(rows, two, boxes[2 * k], boxes[2 * k + 1], front, side))
-    return pairs
+def _pairs(views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], used: Sequence[int | None]) -> list[Pair]:
+    """The pairs of the front and side views that both have a detection."""
+    detected = [None if i is None else on_view[i] for on_view, i in zip(boxes, used, strict=True)]
+    steps = ((views[k : k + 2], detected[k], detected[k + 1]) for k in range(0, len(views), 2))
+    return [make_pair(two, front, side) for two, front, side in steps if front is not None and side is not None]
+
+
+def _of_pair(
+    pair: Pair, used: tuple[int | None, ...], cut: bool, intervals: Intervals | None = None, *fallback: str
+) -> Measurement:
+    return Measurement(pair.box, pair.axes, pair.disagreement, pair.score, used, intervals, fallback, cut)
 
 
 def any_cut(views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], used: Sequence[int | None]) -> bool:
@@ -320,23 +294,14 @@ def any_cut(views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], used:
 
 
 def _least_volume(
-    pairs: Sequence[Pair],
-    used: tuple[int | None, ...],
-    intervals: Intervals | None,
-    fallback: tuple[str, ...] = (),
+    pairs: Sequence[Pair], used: tuple[int | None, ...], intervals: Intervals | None = None, *fallback: str
 ) -> Measurement | None:
-    if not pairs:
-        return None
-    best = min(pairs, key=lambda pair: pair.box.volume_m3)
-    return Measurement(best.box, best.axes, best.disagreement, best.score, used, intervals, fallback)
+    best = min(pairs, key=lambda pair: pair.box.volume_m3, default=None)
+    return None if best is None else _of_pair(best, used, False, intervals, *fallback)
 
 
 def measure_tightest(
-    axes: Sequence[Float64[np.ndarray, "3 3"]],
-    views: Sequence[PseudoView],
-    boxes: Sequence[Sequence[Box2D]],
-    last: OrientedBox | None,
-    cloud: PointCloud,
+    views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], last: OrientedBox | None, cloud: PointCloud
 ) -> Measurement | None:
     """The pair of least volume among the hypotheses, because silhouettes fit tightly only along the object's axes.
 
@@ -344,10 +309,10 @@ def measure_tightest(
     points than the median are discarded.
     """
     used = choose_all(views, boxes, last)
-    pairs = _pairs(axes, views, boxes, used)
+    pairs = _pairs(views, boxes, used)
     if not pairs:
         return None
     margin = SILHOUETTE_MARGIN * float(np.median([pair.box.size_m.mean() for pair in pairs]))
     inside = np.array([contains(pair.box, cloud.xyz_m, margin).sum() for pair in pairs])
     whole = [pair for pair, points in zip(pairs, inside, strict=True) if points >= WHOLE_SHARE * np.median(inside)]
-    return _least_volume(whole, used, None)
+    return _least_volume(whole, used)

@@ -21,13 +21,12 @@ from annotator.rcv.first_look import expected_outline, image_planes
 from annotator.rcv.interval_fit import BoxFit, Intervals
 from annotator.rcv.measure import (
     Measurement,
-    any_cut,
     cut_margin_m,
     measure_consensus,
+    measure_objects,
     measure_pair,
     measure_tightest,
     of_class,
-    pair_all,
 )
 from annotator.rcv.pseudo_view import frustum_views, render_pairs
 from annotator.rcv.rotations import near_axes, warm_axes, wide_axes
@@ -128,7 +127,6 @@ class StepPlan:
 
     strategy: Strategy
     fallback: tuple[str, ...]
-    axes: tuple[Float64[np.ndarray, "3 3"], ...]
     views: tuple[PseudoView, ...]
 
 
@@ -163,14 +161,13 @@ def plan_step(state: ObjectState, config: RcvConfig) -> StepPlan:
     else:
         chosen = find_axes(state.cloud, config.strategy, state.axes, state.up, config)
         strategy, fallback, axes = chosen.strategy, chosen.fallback, [chosen.axes]
-    fallback = state.notes + fallback
     views: Sequence[PseudoView]
     if state.is_first:
         views = frustum_views(state.cloud, axes[0], config, enlarge_deep=state.frustum is None)
     else:
         show = None if state.box is None else box_corners(shown_box(state.box, state.is_cut))
         views = render_pairs(state.cloud, axes, config.view_px, show)
-    return StepPlan(strategy, fallback, tuple(axes), tuple(views))
+    return StepPlan(strategy, state.notes + fallback, tuple(views))
 
 
 def shown_box(box: OrientedBox, is_cut: bool) -> OrientedBox:
@@ -210,15 +207,18 @@ def absorb_step(
     detected = AGNOSTIC_LABELS[config.box_kind] if config.class_agnostic else label
     boxes = [of_class(on_view, detected, label, config.min_view_score) for on_view in detections]
     if state.is_first:
-        return _absorb_first(state, plan, boxes, config)
+        # The consensus does not use the first step's intervals: the object is small in these views, and their edges
+        # have a bias and three times the error of later ones.
+        objects: Sequence[Measurement | None] = measure_objects(plan.views, boxes, state.cloud) or [None]
+        return [_advance(state, plan, boxes, each, config) for each in objects]
     if plan.strategy is not Strategy.CONSENSUS:
-        measured = measure_pair(plan.axes[0], plan.views, boxes, state.box)
+        measured = measure_pair(plan.views, boxes, state.box)
     elif config.box_kind is BoxKind.SILHOUETTE:
-        measured = measure_tightest(plan.axes, plan.views, boxes, state.box, state.cloud)
+        measured = measure_tightest(plan.views, boxes, state.box, state.cloud)
     else:
         start_box = state.box if state.is_warm and not state.steps else None
         measured = measure_consensus(
-            plan.axes, plan.views, boxes, state.box, state.measured, state.up, start_box, _planes(state, config)
+            plan.views, boxes, state.box, state.measured, state.up, start_box, _planes(state, config)
         )
     return [_advance(state, plan, boxes, measured, config)]
 
@@ -229,23 +229,6 @@ def _planes(state: ObjectState, config: RcvConfig) -> Intervals | None:
         return None
     depth_m = max(float(state.box.center_m[2]), NEAR_M)
     return image_planes(state.frustum.camera, expected_outline(state.frustum.camera, state.image_box, config), depth_m)
-
-
-def _absorb_first(
-    state: ObjectState, plan: StepPlan, boxes: list[tuple[Box2D, ...]], config: RcvConfig
-) -> list[ObjectState]:
-    axes, views = plan.axes[0], (plan.views[0], plan.views[1])
-    pairs = pair_all(axes, views, boxes[0], boxes[1], state.cloud)
-    if not pairs:
-        return [_advance(state, plan, boxes, None, config)]
-    results = []
-    for pair in pairs:
-        used = (pair.front, pair.side)
-        # The consensus does not use the first step's intervals: the object is small in these views, and their edges
-        # have a bias and three times the error of later ones.
-        measured = Measurement(pair.box, axes, pair.disagreement, pair.score, used, cut=any_cut(views, boxes, used))
-        results.append(_advance(state, plan, boxes, measured, config))
-    return results
 
 
 def _advance(

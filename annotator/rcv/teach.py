@@ -130,20 +130,23 @@ def teach_views(
         targets: indices of the objects to take crops of; None = all.
     """
     masks = [o.points if o.points is not None else contains(o.box, frame.cloud.xyz_m) for o in objects]
+    totals = [int(mask.sum()) for mask in masks]
     known = np.logical_or.reduce(masks) if masks else np.zeros(len(frame.cloud), bool)
     doubts = [contains(box, frame.cloud.xyz_m) & ~known for box in doubtful]
     scene, stages = _Scene(frame, objects, masks, doubts), CLASS_AGNOSTIC if kind is None else WITH_CLASSES
     taught: list[TaughtView] = []
     for index in range(len(objects)) if targets is None else targets:
-        target = objects[index]
-        if kind is not None and masks[index].sum() < MIN_POINTS:
+        if kind is not None and totals[index] < MIN_POINTS:
             continue
         # all crops except the frustum are close to the object, so most points of a large cloud can be skipped
-        near = scene.near(target.box)
+        near = scene.near(objects[index].box)
         for _ in range(draws):
-            drawn = _draw(scene, near, target, stages, config, up, rng)
+            drawn = _draw(scene, near, index, stages, config, up, rng)
             if drawn is not None:
-                taught += [_label(view, drawn, kind, index) for view in drawn.views]
+                views, shown = drawn
+                labelled = [index] if kind is None else range(len(objects))
+                labelled = [n for n in labelled if is_shown(len(shown[n]), totals[n])]
+                taught += [_label(view, [(n, objects[n], shown[n]) for n in labelled], kind) for view in views]
     return taught
 
 
@@ -169,32 +172,17 @@ class _Scene:
         return any(is_shown(int((mask & keep).sum()), int(whole_mask.sum())) for mask, whole_mask in pairs)
 
 
-@dataclass(frozen=True, eq=False)
-class _Drawn:
-    """The views of a crop.
-
-    Attributes:
-        scene: the scene, or its part near the object.
-        keep: mask of the crop's points in the scene's cloud.
-    """
-
-    views: Sequence[PseudoView]
-    scene: _Scene
-    keep: Bool[np.ndarray, "n"]
-    totals: Sequence[int]
-
-
 def _draw(
     whole: _Scene,
     near: _Scene,
-    target: TaughtObject,
+    index: int,
     stages: Stages,
     config: RcvConfig,
     up: np.ndarray | None,
     rng: np.random.Generator,
-) -> _Drawn | None:
-    """The views of a random crop; None if they cannot be labelled."""
-    scene, choice = near, rng.random()
+) -> tuple[Sequence[PseudoView], list[np.ndarray]] | None:
+    """The views of a random crop, and each object's points in it; None if they cannot be labelled."""
+    scene, target, choice = near, whole.objects[index], rng.random()
     xyz = scene.frame.cloud.xyz_m
     if choice < stages.frustum + stages.depth:
         box = _image_box(whole.frame, target, rng)
@@ -202,7 +190,7 @@ def _draw(
             return None
         scene, xyz = whole, whole.frame.cloud.xyz_m
         keep, axes, show = in_frustum(scene.frame.camera, xyz, box), camera_axes(up), None
-        target_mask = whole.masks[list(whole.objects).index(target)]
+        target_mask = whole.masks[index]
         if not is_shown(int((target_mask & keep).sum()), int(target_mask.sum())):
             return None  # mostly behind the camera or outside the image; the visible rest would be background
         if choice >= stages.frustum:
@@ -214,21 +202,17 @@ def _draw(
         keep, axes, show = contains(crop, xyz), face_camera(_random_turn(up, rng), up), box_corners(crop)
     else:
         crop = _near_crop(target.box, up, _one_of(stages.near_jitter, rng), rng)
-        keep, axes, show = (
-            contains(crop, xyz),
-            face_camera((_small_turn(NEAR_TURN_RAD, up, rng) @ crop.rotation).T, up),
-            box_corners(crop),
-        )
+        turned = _small_turn(NEAR_TURN_RAD, up, rng) @ crop.rotation
+        keep, axes, show = contains(crop, xyz), face_camera(turned.T, up), box_corners(crop)
     if keep.sum() < MIN_POINTS or scene.shows_doubtful(keep, whole):
         return None
     cloud = scene.frame.cloud.select(keep)
-    is_frustum = show is None
     views: Sequence[PseudoView]
-    if is_frustum:
+    if show is None:
         views = frustum_views(cloud, axes, config, enlarge_deep=not stages.depth)
     else:
         views = render_pairs(cloud, [axes], config.view_px, show)
-    return _Drawn(views, scene, keep, [int(mask.sum()) for mask in whole.masks])
+    return views, [xyz[mask & keep] for mask in scene.masks]
 
 
 def _along_depth(
@@ -256,18 +240,13 @@ def _one_of(values: Sequence[float], rng: np.random.Generator) -> float:
     return values[0] if len(values) == 1 else float(rng.choice(values))
 
 
-def _label(view: PseudoView, drawn: _Drawn, kind: BoxKind | None, target: int) -> TaughtView:
-    """Labels all objects, or without a kind the target only, with a box of each kind."""
-    scene = drawn.scene
+def _label(view: PseudoView, shown: Sequence[tuple[int, TaughtObject, np.ndarray]], kind: BoxKind | None) -> TaughtView:
+    """Labels objects, given with their indices and points, with a box of the kind, or without one of each kind."""
     found: list[tuple[Box2D, int]] = []
-    for index in [target] if kind is None else range(len(scene.objects)):
-        item, shown = scene.objects[index], scene.masks[index] & drawn.keep
-        if is_shown(int(shown.sum()), drawn.totals[index]):
-            for each, label in AGNOSTIC_LABELS.items() if kind is None else [(kind, item.label)]:
-                whole = each is BoxKind.BOX
-                xyz_m = box_corners(item.box) if whole else scene.frame.cloud.xyz_m[shown]
-                box = span_on_view(view, xyz_m, label)
-                found += [] if box is None else [(box, index)]
+    for index, item, xyz_m in shown:
+        for each, label in AGNOSTIC_LABELS.items() if kind is None else [(kind, item.label)]:
+            box = span_on_view(view, box_corners(item.box) if each is BoxKind.BOX else xyz_m, label)
+            found += [] if box is None else [(box, index)]
     return TaughtView(view, tuple(box for box, _ in found), tuple(index for _, index in found))
 
 

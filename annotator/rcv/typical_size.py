@@ -20,9 +20,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64
 
 from annotator.geometry.iou import iou_3d, iou_3d_matrix
-from annotator.geometry.projection import undistort_px
 from annotator.rcv.config import TypicalSize
-from annotator.rcv.first_look import Outline, in_middle
+from annotator.rcv.first_look import Outline, edges_normalised, in_middle
 from annotator.rcv.interval_fit import Intervals
 from annotator.rcv.rotations import free_grid, rotation_matrices, yaw_grid
 from annotator.types import Box2D, Camera, OrientedBox
@@ -124,7 +123,7 @@ class Evidence:
         points = xyz_m[chosen].astype(np.float64)
         ends = (-0.5, camera.width_px - 0.5, -0.5, camera.height_px - 0.5)
         edges = (outline.box.x_min, outline.box.x_max, outline.box.y_min, outline.box.y_max)
-        window, image = _normalised(camera, edges), _normalised(camera, ends)
+        window, image = edges_normalised(camera, edges), edges_normalised(camera, ends)
         if not np.isfinite(window).all():
             return None
         # where the distortion has no inverse at the image's border, outlines are not clipped
@@ -199,14 +198,6 @@ def _distance(boxes: Candidates, measured: Intervals) -> Float64[np.ndarray, "k"
     middle = boxes.center_m @ directions.T
     away = np.abs(np.stack([middle - reach, middle + reach], axis=2) - measured.ends_m)[:, known]
     return np.asarray(np.minimum(away / measured.sigma_m[known], FURTHEST).mean(axis=1))
-
-
-def _normalised(camera: Camera, ends_px: tuple[float, float, float, float]) -> Float64[np.ndarray, "4"]:
-    """Left, right, top and bottom of a rectangle on the image as x/z and y/z, at the middles of its sides."""
-    left, right, top, bottom = ends_px
-    u, v = (left + right) / 2, (top + bottom) / 2
-    xy = undistort_px(camera, np.array([(left, v), (right, v), (u, top), (u, bottom)]))
-    return np.array([xy[0, 0], xy[1, 0], xy[2, 1], xy[3, 1]])
 
 
 # Percentiles of the depths in the middle of the image box at which the object's surface may be.

@@ -285,7 +285,7 @@ def _detected_ends(
     ]
     if not all(found):
         return None
-    return make_pair(axes, (front, side), found[0], found[1], 0, 0).spans_m
+    return make_pair((front, side), found[0][0], found[1][0]).spans_m
 
 
 def _nearest_m(frame: Frame, image_box: Box2D, points: int) -> Float64[np.ndarray, "rows columns"]:

@@ -138,8 +138,7 @@ class FollowRuns:
     def _follow(self, project: Project, running: _Running, run: FollowRun) -> None:
         def report(state: Following) -> None:
             self._announcer.announce(project)
-            first = running.shown.first or next(iter(state.proposed), None)
-            self._show(project, running, state, first=first)
+            self._show(project, running, state)
 
         try:
             end = run.run(report, running.stop.is_set)
@@ -152,7 +151,8 @@ class FollowRuns:
 
     def _show(self, project: Project, running: _Running, now: Following, **changes: object) -> None:
         """Updates a run, and sends it to the pages of its project."""
-        values = {"done": now.done, "total": now.total, "tracks": _tracks(now, self._public_message), **changes}
+        tracks = _tracks(now, self._public_message)
+        values = {"done": now.done, "total": now.total, "tracks": tracks, "first": now.first, **changes}
         with self._lock:
             running.shown = running.shown.model_copy(update=values)
             self._tell(project, running.shown)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 from annotator.geometry.iou import iou_3d
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.follow_object import Followed, Look, follow_object
 from annotator.tracking.link import predicted
-from annotator.types import Detector, Frame, Label, OrientedBox, Proposal
+from annotator.types import Detector, Frame, OrientedBox, Proposal
 from annotator.workflows.tracks.timeline import KeyFrame, Moment
 
 # Number of last boxes from which the motion is estimated.
@@ -87,63 +87,25 @@ class FollowedTrack:
     is_open: bool
 
 
-@dataclass(frozen=True, eq=False)
-class Stretch:
-    """The frames between two reviewed boxes of an object, or from its only one to an end of the recording (None)."""
-
-    before: KeyFrame | None
-    after: KeyFrame | None
-
-    @property
-    def keys(self) -> tuple[KeyFrame, ...]:
-        """Its reviewed boxes."""
-        return tuple(key for key in (self.before, self.after) if key is not None)
-
-    def inside(self, frames: int) -> range:
-        """Indices of its frames, in a recording with so many frames."""
-        first = 0 if self.before is None else self.before.index + 1
-        return range(first, frames if self.after is None else self.after.index)
+Ends = tuple[KeyFrame | None, KeyFrame | None]
+"""Two reviewed boxes of an object, the earlier one first; or one, and an end of the recording (None)."""
 
 
-@dataclass(eq=False)
-class Walk:
-    """An object on its way from one reviewed box.
-
-    Attributes:
-        left: the frames still to come.
-        boxes: those found, by frame; without their traces once they are taken.
-        new: the frames whose boxes are not taken.
-    """
-
-    key: KeyFrame
-    left: deque[int]
-    follower: Follower | None = None
-    boxes: dict[int, Proposal] = field(default_factory=dict)
-    new: set[int] = field(default_factory=set)
-
-    def take(self, index: int) -> Proposal:
-        """Returns the box of a frame to be stored."""
-        self.new.discard(index)
-        taken, self.boxes[index] = self.boxes[index], replace(self.boxes[index], trace=())
-        return taken
-
-    def end(self) -> None:
-        """Ends it; boxes that are not taken are dropped."""
-        self.left.clear()
-        for index in self.new:
-            del self.boxes[index]
-        self.new.clear()
+def between(ends: Ends, frames: int) -> range:
+    """Indices of the frames between two ends, in a recording with so many frames."""
+    before, after = ends
+    return range(0 if before is None else before.index + 1, frames if after is None else after.index)
 
 
 @dataclass(eq=False)
 class Part:
-    """A stretch on which an object is followed: from both of its reviewed boxes, or from its only one.
+    """The frames between two ends, through which an object is followed from each of its reviewed boxes there.
 
     Attributes:
         is_joined: the object was found at one of these boxes when it was followed from the other one.
     """
 
-    walks: list[Walk]
+    walks: list[Walk] = field(default_factory=list)
     is_joined: bool = False
     is_taken: bool = False
 
@@ -154,63 +116,73 @@ class Part:
 
 
 @dataclass(eq=False)
+class Walk:
+    """An object on its way from one reviewed box.
+
+    Attributes:
+        left: the frames still to come.
+        boxes: those found, by frame.
+        new: the proposals of those that are not taken.
+    """
+
+    item: FollowedObject
+    part: Part
+    key: KeyFrame
+    left: deque[int]
+    follower: Follower | None = None
+    boxes: dict[int, OrientedBox] = field(default_factory=dict)
+    new: dict[int, Proposal] = field(default_factory=dict)
+
+    def end(self) -> None:
+        """Ends it; boxes that are not taken are dropped."""
+        self.left.clear()
+        for index in self.new:
+            del self.boxes[index]
+        self.new.clear()
+
+
 class FollowedObject:
     """An object, and its result so far.
 
     Attributes:
         keys: its reviewed boxes; those at the start in order, then those met on the way.
-        met: the latter, until their track is stored.
+        track_id: None while it has no track.
+        met: the keys met on the way, until their track is stored.
         passed: the frames in which it was found, met or lost, and those that it would have come to after that.
         proposed: uid of its new proposal, by frame.
         uids: of all its new proposals, also replaced ones.
         doubtful: the frames in which following forward and backward gave different boxes.
     """
 
-    keys: tuple[KeyFrame, ...]
-    parts: list[Part]
-    met: list[KeyFrame] = field(default_factory=list)
-    passed: set[int] = field(default_factory=set)
-    proposed: dict[int, str] = field(default_factory=dict)
-    uids: set[str] = field(default_factory=set)
-    doubtful: set[int] = field(default_factory=set)
-    stops: list[StoppedAt] = field(default_factory=list)
-
-    @classmethod
-    def of(cls, stretches: Sequence[Stretch], frames: int) -> FollowedObject:
-        """An object at its start, in a recording with so many frames."""
-        parts = []
-        for stretch in stretches:
-            inside = stretch.inside(frames)
-            both = [] if stretch.before is None else [Walk(stretch.before, deque(inside))]
-            both += [] if stretch.after is None else [Walk(stretch.after, deque(reversed(inside)))]
-            parts.append(Part(both))
-        keys = {key.label.uid: key for stretch in stretches for key in stretch.keys}
-        return cls(tuple(sorted(keys.values(), key=lambda key: key.index)), parts)
-
-    @property
-    def label(self) -> Label:
-        """Its first reviewed label."""
-        return self.keys[0].label
+    def __init__(self, ends: Sequence[Ends], frames: int) -> None:
+        """At its start, between each pair of ends, in a recording with so many frames."""
+        self.parts: list[Part] = []
+        for before, after in ends:
+            self.parts.append(part := Part())
+            inside = between((before, after), frames)
+            for key, indices in ((before, inside), (after, reversed(inside))):
+                if key is not None:
+                    part.walks.append(Walk(self, part, key, deque(indices)))
+        keys = {key.label.uid: key for pair in ends for key in pair if key is not None}
+        self.keys = sorted(keys.values(), key=lambda key: key.index)
+        self.label = self.keys[0].label
+        self.track_id = self.label.track_id
+        self.met: list[KeyFrame] = []
+        self.passed: set[int] = set()
+        self.proposed: dict[int, str] = {}
+        self.uids: set[str] = set()
+        self.doubtful: set[int] = set()
+        self.stops: list[StoppedAt] = []
 
     @property
-    def track_id(self) -> int | None:
-        """None while it has no track."""
-        return self.label.track_id
-
-    def give_track(self, track_id: int) -> None:
-        """Notes the track that it has been given."""
-        first = replace(self.keys[0], label=replace(self.label, track_id=track_id))
-        self.keys = (first, *self.keys[1:])
-
-    def walks(self) -> Iterator[tuple[Part, Walk]]:
-        """Its walks, each with its part."""
-        return ((part, walk) for part in self.parts for walk in part.walks)
+    def walks(self) -> list[Walk]:
+        return [walk for part in self.parts for walk in part.walks]
 
     def has(self, uid: str) -> bool:
         """Whether a label is one of its reviewed boxes."""
         return any(key.label.uid == uid for key in self.keys)
 
-    def meet(self, key: KeyFrame, part: Part, walk: Walk, is_found: bool) -> int:
+    def meet(self, key: KeyFrame, walk: Walk, is_found: bool) -> int:
         """Goes on from a reviewed box on the way, which from now on is its own; follows it back from there, too.
 
         Args:
@@ -220,19 +192,20 @@ class FollowedObject:
             The number of frames to go back.
         """
         if not self.has(key.label.uid):
-            self.keys += (key,)
+            self.keys.append(key)
             self.met.append(key)
-        between = range(*sorted((walk.key.index, key.index)))[1:]
-        back = between if key.index < walk.key.index else reversed(between)
-        beyond = [Walk(key, deque(walk.left))]
+        inside = range(*sorted((walk.key.index, key.index)))[1:]
+        back = inside if key.index < walk.key.index else reversed(inside)
+        part, beyond = walk.part, Part()
+        beyond.walks.append(Walk(self, beyond, key, deque(walk.left)))
         for other in part.walks:
             if other is not walk:
-                other.left = deque(index for index in other.left if index in walk.left)
-                beyond.append(other)
+                other.part, other.left = beyond, deque(index for index in other.left if index in walk.left)
+                beyond.walks.append(other)
         walk.left.clear()
-        part.walks, part.is_joined = [walk, Walk(key, deque(back))], is_found
-        self.parts.append(Part(beyond))
-        return len(between)
+        part.walks, part.is_joined = [walk, Walk(self, part, key, deque(back))], is_found
+        self.parts.append(beyond)
+        return len(inside)
 
     def take(self, ended: bool) -> dict[int, Proposal]:
         """Returns the boxes that can be stored now, and have not been taken.
@@ -247,7 +220,7 @@ class FollowedObject:
                 found, part.is_taken = self._agreed(part), True
             else:
                 continue
-            taken |= {index: walk.take(index) for index, walk in found.items() if index in walk.new}
+            taken |= {index: walk.new.pop(index) for index, walk in found.items() if index in walk.new}
         return taken
 
     def _agreed(self, part: Part) -> dict[int, Walk]:
@@ -257,9 +230,9 @@ class FollowedObject:
         """
         ahead, back = part.walks
         agreed = dict.fromkeys(ahead.boxes, ahead)
-        for index, other in back.boxes.items():
+        for index, box in back.boxes.items():
             own = ahead.boxes.get(index)
-            if own is not None and not part.is_joined and iou_3d(own.box, other.box) < SAME_BOX_IOU:
+            if own is not None and not part.is_joined and iou_3d(own, box) < SAME_BOX_IOU:
                 del agreed[index]
                 self.doubtful.add(index)
                 self.proposed.pop(index, None)
@@ -269,7 +242,7 @@ class FollowedObject:
 
     def end(self) -> None:
         """Ends all its walks."""
-        for _, walk in self.walks():
+        for walk in self.walks:
             walk.end()
 
     def result(self) -> FollowedTrack:

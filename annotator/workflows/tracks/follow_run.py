@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 
-import numpy as np
-
+from annotator.geometry.oriented_box import same_box
 from annotator.project import REVIEWED, Effort, Project, StoredFrame, StoredLabel, new_action
 from annotator.project.changes import REQUESTED, LabelDeleted, LabelTracked, NewLabel, Payload
 from annotator.project.overview import read_page
@@ -18,16 +17,15 @@ from annotator.tracking.link import overlap_at_place
 from annotator.types import Label, OrientedBox, Proposal, ReviewState
 from annotator.types.errors import ConfigError, FrameError, NotFoundError, StaleRevisionError, TrackTakenError
 from annotator.workflows.tracks.follow_objects import (
+    Ends,
     FollowedObject,
     FollowedTrack,
     Follower,
-    Part,
     StoppedAt,
-    Stretch,
     Walk,
+    between,
 )
 from annotator.workflows.tracks.propose_boxes import (
-    Changed,
     blocking,
     label_of,
     page_at,
@@ -51,19 +49,13 @@ class Following:
 
     Attributes:
         done, total: numbers of frames; a frame counts once for each object and direction.
-        proposed: the labels proposed since the last report: (frame id, uid) each.
+        first: frame id and uid of the first label that it has proposed.
     """
 
     done: int
     total: int
     tracks: tuple[FollowedTrack, ...]
-    changed: Changed = ()
-    proposed: tuple[tuple[int, str], ...] = ()
-
-
-_OnWay = tuple[FollowedObject, Part, Walk]
-_Stored = tuple[Changed, tuple[tuple[int, str], ...]]
-"""The `changed` and `proposed` of `Following`."""
+    first: tuple[int, str] | None
 
 
 class FollowRun:
@@ -72,7 +64,7 @@ class FollowRun:
     def __init__(
         self,
         timeline: Timeline,
-        objects: Iterable[Sequence[Stretch]],
+        objects: Iterable[Sequence[Ends]],
         view: ReadyDetector | None,
         author: str,
         *,
@@ -84,20 +76,21 @@ class FollowRun:
                 of the kind that it measures.
         """
         self._timeline, self._view, self._author, self._effort = timeline, view, author, effort
-        self._objects = [FollowedObject.of(stretches, len(timeline.frames)) for stretches in objects]
+        self._objects = [FollowedObject(ends, len(timeline.frames)) for ends in objects]
         self.action = new_action()
         self._total = self._left()
+        self._first: tuple[int, str] | None = None
         self._last_event = timeline.project.log.last()
 
     @property
     def state(self) -> Following:
         """The state between two rounds."""
         tracks = tuple(item.result() for item in self._objects)
-        return Following(self._total - self._left(), self._total, tracks)
+        return Following(self._total - self._left(), self._total, tracks, self._first)
 
     def run(
         self,
-        progress: Callable[[Following], None] | None = None,
+        progress: Callable[[Following], object] = lambda _: None,
         stopped: Callable[[], bool] = lambda: False,
     ) -> Following:
         """Follows all objects to their ends.
@@ -114,46 +107,39 @@ class FollowRun:
         """
         try:
             while (front := self._front()) and not stopped():
-                for item, part, walk in front:
+                for walk in front:
                     if stopped():
                         break
                     if walk.left:  # else another object has ended it
-                        self._step(item, part, walk)
-                self._report(progress, self._store())
+                        self._step(walk)
+                self._store()
+                progress(self.state)
         finally:
-            stored = self._store(ended=True)
-            if stored[0]:
-                self._report(progress, stored)
+            if self._store(ended=True):
+                progress(self.state)
         return self.state
 
-    def _front(self) -> list[_OnWay]:
+    def _front(self) -> list[Walk]:
         """The walks that move on next.
 
         Those to an end of the recording are side by side in time, first those forward, then those backward: so the
         first of several reviewed boxes of an object reaches the others before these are followed.
         """
-        moving = [(item, part, walk) for item in self._objects for part, walk in item.walks() if walk.left]
-        between = [each for each in moving if not each[1].is_open]
-        ahead, back = list[_OnWay](), list[_OnWay]()
-        for each in moving:
-            if each[1].is_open:
-                (back if each[2].left[0] < each[2].key.index else ahead).append(each)
+        moving = [walk for item in self._objects for walk in item.walks if walk.left]
+        inside = [walk for walk in moving if not walk.part.is_open]
+        ahead = [walk for walk in moving if walk.part.is_open and walk.left[0] > walk.key.index]
+        back = [walk for walk in moving if walk.part.is_open and walk.left[0] < walk.key.index]
         if ahead:
-            first = min(walk.left[0] for _, _, walk in ahead)
-            return between + [each for each in ahead if each[2].left[0] == first]
-        if between or not back:
-            return between
-        last = max(walk.left[0] for _, _, walk in back)
-        return [each for each in back if each[2].left[0] == last]
-
-    def _report(self, progress: Callable[[Following], None] | None, stored: _Stored) -> None:
-        if progress is not None:
-            progress(replace(self.state, changed=stored[0], proposed=stored[1]))
+            first = min(walk.left[0] for walk in ahead)
+            return inside + [walk for walk in ahead if walk.left[0] == first]
+        last = max((walk.left[0] for walk in back), default=None)
+        return inside or [walk for walk in back if walk.left[0] == last]
 
     def _left(self) -> int:
-        return sum(len(walk.left) for item in self._objects for _, walk in item.walks())
+        return sum(len(walk.left) for item in self._objects for walk in item.walks)
 
-    def _step(self, item: FollowedObject, part: Part, walk: Walk) -> None:
+    def _step(self, walk: Walk) -> None:
+        item = walk.item
         index = reading = walk.left.popleft()
         item.passed.add(index)
         try:
@@ -169,28 +155,27 @@ class FollowRun:
             expected = walk.follower.expected(moment)
             followed = walk.follower.step(moment)
         except FrameError as error:
-            self._stop(item, walk, reading, str(error))
+            self._stop(walk, reading, str(error))
             return
         box = expected if followed.proposal is None else followed.proposal.box
         if (there := self._standing_at(item, index, box)) is not None:
-            self._meet(item, part, walk, KeyFrame(index, there), followed.proposal is not None)
+            self._meet(walk, KeyFrame(index, there), followed.proposal is not None)
         elif followed.proposal is None:
             why = followed.stop.value if followed.stop is not None else ""
-            self._stop(item, walk, index, f"{why} ({followed.detail})" if followed.detail else why)
+            self._stop(walk, index, f"{why} ({followed.detail})" if followed.detail else why)
         elif any(self._collides(item, other, index, box) for other in self._objects):
-            self._stop(item, walk, index, OTHER_TRACK.format("another followed object"))
+            self._stop(walk, index, OTHER_TRACK.format("another followed object"))
         else:
-            walk.boxes[index] = followed.proposal
-            walk.new.add(index)
-            if not walk.left and not part.is_open:
-                self._arrive(part, walk, walk.follower)
+            walk.boxes[index], walk.new[index] = box, followed.proposal
+            if not walk.left and not walk.part.is_open:
+                self._arrive(walk, walk.follower)
 
-    def _arrive(self, part: Part, walk: Walk, follower: Follower) -> None:
+    def _arrive(self, walk: Walk, follower: Follower) -> None:
         """Notes whether an object that was followed up to its next reviewed box is found at that one."""
-        (key,) = (other.key for other in part.walks if other is not walk)
+        (key,) = (other.key for other in walk.part.walks if other is not walk)
         with suppress(FrameError):
             found = follower.step(self._timeline.moment(key.index)).proposal
-            part.is_joined |= found is not None and bool(overlap_at_place([found.box], [key.label.box]).any())
+            walk.part.is_joined |= found is not None and bool(overlap_at_place([found.box], [key.label.box]).any())
 
     def _standing_at(self, item: FollowedObject, index: int, box: OrientedBox) -> Label | None:
         """Returns the label at a place beside which no box of an object is proposed, or None."""
@@ -199,50 +184,46 @@ class FollowRun:
         # a reviewed box of the track may be elsewhere in the frame
         return label if label is not None and overlap_at_place([box], [label.box]).any() else None
 
-    def _meet(self, item: FollowedObject, part: Part, walk: Walk, key: KeyFrame, is_found: bool) -> None:
+    def _meet(self, walk: Walk, key: KeyFrame, is_found: bool) -> None:
         """Goes on through a reviewed box, or stops at a box of another object."""
-        label = key.label
+        item, label = walk.item, key.label
         others = [other for other in self._objects if other is not item and other.has(label.uid)]
         is_own = label.track_id == item.track_id if label.track_id is not None else item.has(label.uid)
         is_free = label.track_id is None and not any(other.track_id is not None or other.met for other in others)
         if label.state not in REVIEWED or not (is_own or is_free):
             name = "another followed object" if label.track_id is None else f"track {label.track_id}"
-            self._stop(item, walk, key.index, OTHER_TRACK.format(name))
+            self._stop(walk, key.index, OTHER_TRACK.format(name))
             return
         for other in others:
             # the same object: nothing of it is stored yet
             other.end()
             self._objects.remove(other)
             item.stops += other.stops
-        self._total += item.meet(key, part, walk, is_found)
+        self._total += item.meet(key, walk, is_found)
 
     @staticmethod
     def _collides(item: FollowedObject, other: FollowedObject, index: int, box: OrientedBox) -> bool:
         """Whether another object of the run, of the same class, was found at the same place."""
         if other is item or other.label.label != item.label.label:
             return False
-        found = [walk.boxes[index].box for _, walk in other.walks() if index in walk.boxes]
-        return bool(overlap_at_place([box], found).any())
+        return bool(overlap_at_place([box], [w.boxes[index] for w in other.walks if index in w.boxes]).any())
 
-    def _stop(self, item: FollowedObject, walk: Walk, index: int, reason: str) -> None:
-        item.passed.update(walk.left)
+    def _stop(self, walk: Walk, index: int, reason: str) -> None:
+        walk.item.passed.update(walk.left)
         walk.left.clear()
         frame = self._timeline.frames[index]
-        item.stops.append(StoppedAt(frame.id, frame.key, reason))
+        walk.item.stops.append(StoppedAt(frame.id, frame.key, reason))
 
-    def _store(self, *, ended: bool = False) -> _Stored:
-        """Proposes the boxes that were found."""
+    def _store(self, *, ended: bool = False) -> bool:
+        """Proposes the boxes that were found; returns whether that changed a frame."""
         found = [(item, item.take(ended)) for item in self._objects]
         found = [(item, boxes) for item, boxes in found if boxes or item.met or ended]
-        for attempt in range(TRIES):
-            try:
+        for _ in range(TRIES - 1):
+            with suppress(StaleRevisionError, TrackTakenError):
                 return self._try_to_store(found, ended)
-            except (StaleRevisionError, TrackTakenError):
-                if attempt == TRIES - 1:
-                    raise
-        raise AssertionError
+        return self._try_to_store(found, ended)
 
-    def _try_to_store(self, found: Sequence[tuple[FollowedObject, dict[int, Proposal]]], ended: bool) -> _Stored:
+    def _try_to_store(self, found: Sequence[tuple[FollowedObject, dict[int, Proposal]]], ended: bool) -> bool:
         project, frames = self._timeline.project, self._timeline.frames
         # each frame is read once, before its labels: so a change after that is noticed when the events are appended
         needed = {index for item, boxes in found for index in (*boxes, *(key.index for key in item.keys))}
@@ -263,39 +244,34 @@ class FollowRun:
             for index, proposal in boxes.items():
                 new[index].append(proposal_like(label, proposal.box, track_id, proposal=proposal))
         payloads: dict[int, list[Payload]] = defaultdict(list)
+        proposed: list[tuple[int, int | None, str]] = []
         for index, proposals in new.items():
             if not read[index].finalised:
-                payloads[index] += proposal_events(project, read[index], proposals)
-        proposed = [
-            (index, payload)
-            for index, events in payloads.items()
-            for payload in events
-            if isinstance(payload, NewLabel)
-        ]
-        given = untracked & {
-            *(payload.track_id for _, payload in proposed),
-            *(track_id for track_id, item in owners.items() if item.met),
-        }
+                payloads[index] = proposal_events(project, read[index], proposals)
+                proposed += [(index, e.track_id, e.uid) for e in payloads[index] if isinstance(e, NewLabel)]
+        with_boxes = {track_id for _, track_id, _ in proposed}
+        given = {track_id for track_id in untracked if track_id in with_boxes or owners[track_id].met}
         for track_id, item in owners.items():
-            first = item.keys[:1] if track_id in given else ()
-            for key in (*first, *item.met):
+            for key in (*(item.keys[:1] if track_id in given else ()), *item.met):
                 payloads[key.index] += self._given_track(key, track_id)
-            for index, events in self._without_stale(item, track_id, read).items() if ended else ():
-                payloads[index] += events
-        changes = [(read[index], _once(events)) for index, events in sorted(payloads.items()) if events]
+            for index, uid in self._stale(item, track_id, read) if ended else ():
+                payloads[index].append(LabelDeleted(uid=uid))
+        # two objects may replace the same label
+        once = {index: [e for n, e in enumerate(events) if e not in events[:n]] for index, events in payloads.items()}
+        changes = [(read[index], events) for index, events in sorted(once.items()) if events]
         if not changes:
-            return (), ()
-        changed = write(project, changes, self._author, self._effort, action=self.action, new_tracks=given)
+            return False
+        write(project, changes, self._author, self._effort, action=self.action, new_tracks=given)
         self._effort = None
         for track_id, item in owners.items():
             if track_id not in untracked or track_id in given:
-                item.give_track(track_id)
+                item.track_id = track_id
             item.met.clear()
-        for index, payload in proposed:
-            if payload.track_id is not None:
-                owners[payload.track_id].proposed[index] = payload.uid
-                owners[payload.track_id].uids.add(payload.uid)
-        return changed, tuple((frames[index].id, payload.uid) for index, payload in proposed)
+            item.proposed |= {index: uid for index, owner, uid in proposed if owner == track_id}
+            item.uids |= {uid for _, owner, uid in proposed if owner == track_id}
+        if proposed and self._first is None:
+            self._first = frames[proposed[0][0]].id, proposed[0][2]
+        return True
 
     def _given_track(self, key: KeyFrame, track_id: int) -> list[Payload]:
         """Returns the events that give a reviewed label its track, in place of open proposals of the track."""
@@ -307,27 +283,25 @@ class FollowRun:
         replaced = [LabelDeleted(uid=label.uid) for label in same if label.state is ReviewState.PROPOSED]
         return [*replaced, LabelTracked(uid=key.label.uid, track_id=track_id)]
 
-    def _without_stale(
-        self, item: FollowedObject, track_id: int, read: Mapping[int, StoredFrame]
-    ) -> dict[int, list[Payload]]:
-        """Returns the events that remove what the run has not confirmed of an object, by frame.
+    def _stale(self, item: FollowedObject, track_id: int, read: Mapping[int, StoredFrame]) -> list[tuple[int, str]]:
+        """Returns what the run has not confirmed of an object: indices of frames, and uids.
 
         That is: boxes that earlier runs have proposed for it, and the run's own ones that following in the other
         direction has contradicted.
         """
         project = self._timeline.project
         # a run that was stopped has not come to all
-        to_come = {index for _, walk in item.walks() for index in walk.left}
+        to_come = {index for walk in item.walks for index in walk.left}
         indices = {self._timeline.frames[index].id: index for index in item.passed - to_come}
-        events: dict[int, list[Payload]] = {}
         is_open = project.labels.along(self._timeline.recording_id, states=[ReviewState.PROPOSED], tracks=[track_id])
+        stale: list[tuple[int, str]] = []
         for stored in is_open:
             uid, index = stored.label.uid, indices.get(stored.frame_id)
             if index is None or item.proposed.get(index) == uid or read[index].finalised:
                 continue
             if uid in item.uids or (self._was_followed(stored) and uid not in project.labels.kept(stored.frame_id)):
-                events.setdefault(index, []).append(LabelDeleted(uid=uid))
-        return events
+                stale.append((index, uid))
+        return stale
 
     def _was_followed(self, stored: StoredLabel) -> bool:
         """Whether an earlier run has proposed a box; automatic passes and operators propose others."""
@@ -353,7 +327,9 @@ class FollowRun:
                 label = timeline.project.labels.get(key.label.uid).label
             except NotFoundError:
                 label = None
-            if label is None or label.state not in REVIEWED or not _is_same(label, key.label):
+            was = key.label
+            is_same = label is not None and label.label == was.label and same_box(label.box, was.box)
+            if label is None or label.state not in REVIEWED or not is_same:
                 frame = timeline.frames[key.index]
                 stop = StoppedAt(frame.id, frame.key, KEY_CHANGED)
                 if stop not in item.stops:  # else this is another try to store what others have found
@@ -362,17 +338,6 @@ class FollowRun:
                 return None
             first = first or label
         return first
-
-
-def _once(events: Sequence[Payload]) -> list[Payload]:
-    """Returns the events without repeated deletions of one label."""
-    gone = [event.uid if isinstance(event, LabelDeleted) else None for event in events]
-    return [event for n, event in enumerate(events) if gone[n] is None or gone[n] not in gone[:n]]
-
-
-def _is_same(a: Label, b: Label) -> bool:
-    """Returns True for the same class and box."""
-    return a.label == b.label and np.array_equal(a.box.pose, b.box.pose) and np.array_equal(a.box.size_m, b.box.size_m)
 
 
 def follow_recording(
@@ -384,7 +349,7 @@ def follow_recording(
     tracks: Collection[int] | None = None,
     forward: bool = True,
     backward: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], object] = lambda *_: None,
 ) -> Following:
     """Proposes boxes of tracks from their reviewed boxes on, as one action.
 
@@ -403,9 +368,9 @@ def follow_recording(
     objects = []
     for keys in _reviewed(timeline, tracks):
         ends = [None if backward else keys[0], *keys, None if forward else keys[-1]]
-        objects.append([Stretch(before, after) for before, after in pairwise(ends) if before is not after])
+        objects.append([(before, after) for before, after in pairwise(ends) if before is not after])
     run = FollowRun(timeline, objects, view, author)
-    return run.run(None if progress is None else lambda state: progress(state.done, state.total))
+    return run.run(lambda state: progress(state.done, state.total))
 
 
 def follow_from_frame(
@@ -436,28 +401,28 @@ def follow_from_frame(
         which = "this box is not reviewed" if uid is not None else f"frame {frame.key} has no reviewed box to follow"
         raise ConfigError(f"{which}; accept {'it' if uid is not None else 'one'} first")
     timeline = Timeline(project, frame.recording_id)
-    stretches = [_stretch_from(timeline, frame_id, label, forward) for label in reviewed]
-    if not any(stretch.inside(len(timeline.frames)) for stretch in stretches):
+    ends = [_ends_from(timeline, frame_id, label, forward) for label in reviewed]
+    if not any(between(each, len(timeline.frames)) for each in ends):
         side = "next" if forward else "previous"
-        at_end = any(len(stretch.keys) == 1 for stretch in stretches)
+        at_end = any(None in each for each in ends)
         raise ConfigError(
             f"frame {frame.key} is the {'last' if forward else 'first'} of its recording; there is no {side} frame"
             if at_end
             else f"the {side} frame of frame {frame.key} has a reviewed box of this track already; go on from there"
         )
-    return FollowRun(timeline, [[stretch] for stretch in stretches], view, author, effort=effort)
+    return FollowRun(timeline, [[each] for each in ends], view, author, effort=effort)
 
 
-def _stretch_from(timeline: Timeline, frame_id: int, label: Label, forward: bool) -> Stretch:
-    """Returns the stretch on one side of a reviewed label."""
+def _ends_from(timeline: Timeline, frame_id: int, label: Label, forward: bool) -> Ends:
+    """Returns a reviewed label and the next reviewed box of its track on one side, if any."""
     index = timeline.index.get(frame_id)
     if index is None:
         raise NotFoundError("this frame is no longer in its recording; restore it, or follow from another frame")
     own = KeyFrame(index, label)
     others = [] if label.track_id is None else timeline.key_frames(label.track_id)
     if forward:
-        return Stretch(own, next((key for key in others if key.index > index), None))
-    return Stretch(next((key for key in reversed(others) if key.index < index), None), own)
+        return own, next((key for key in others if key.index > index), None)
+    return next((key for key in reversed(others) if key.index < index), None), own
 
 
 def _reviewed(timeline: Timeline, tracks: Collection[int] | None) -> list[list[KeyFrame]]:

@@ -56,15 +56,16 @@ class Timeline:
             frame for frame in project.frames.of([recording_id]) if frame.index is not None
         )
         self.index = {frame.id: index for index, frame in enumerate(self.frames)}
-        self._source = FrameSource(project)
-        self.recording = self._source.recording(recording_id)
+        source, frames = FrameSource(project), self.frames
+        self.recording = source.recording(recording_id)
         times_ns = recorded_times(self.recording)
         self.times: Float64[np.ndarray, "n"] = (
             np.array([float(frame.index or 0) for frame in self.frames])
             if times_ns is None
             else frame_times([times_ns.get(frame.key) for frame in self.frames])
         )
-        self._read = lru_cache(FRAMES_KEPT)(lambda index: self._source.read(self.frames[index]))
+        # not of `self`, so that the frames are freed with it
+        self._read = lru_cache(FRAMES_KEPT)(lambda index: source.read(frames[index]))
 
     def moment(self, index: int) -> Moment:
         """Reads a frame."""

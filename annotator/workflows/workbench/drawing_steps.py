@@ -309,7 +309,7 @@ def _are_both(boxes: tuple[Box2D | None, Box2D | None]) -> TypeGuard[tuple[Box2D
 
 def cross_box(views: Views, boxes: tuple[Box2D, Box2D], up: Float64[np.ndarray, "3"] | None) -> OrientedBox:
     """Returns the box of one step: the span of the front and the side box along the step's axes."""
-    return canonical_box(make_pair(views[0].axes, views, [boxes[0]], [boxes[1]], 0, 0).box, up)
+    return canonical_box(make_pair(views, boxes[0], boxes[1]).box, up)
 
 
 def final_box(

@@ -81,8 +81,8 @@ def test_boxes_of_a_frame_are_followed_together_and_each_appears_at_once(room: R
     states: list[tuple[Following, int]] = []
     ends = room.run(2).run(lambda state: states.append((state, len(room.labels(3)))))
     first, stored = states[0]
-    assert {frame for frame, _ in first.proposed} == {room.frames[3].id}
-    assert len(first.proposed) == stored == 3
+    assert first.first is not None and first.first[0] == room.frames[3].id
+    assert sum(track.boxes for track in first.tracks) == stored == 3
     assert [state.done for state, _ in states] == [3, 6]
     assert [track.boxes for track in ends.tracks] == [2, 2, 2]
     assert room.counts == [0, 0, 3, 3, 3]
@@ -97,8 +97,8 @@ def test_undo_takes_the_actions_during_a_run_first(room: Room) -> None:
 
     def accept_the_first(state: Following) -> None:
         if state.done == 1:
-            ((frame_id, uid),) = state.proposed
-            room.project.labels.accept(frame_id, uid, room.context(1))
+            assert state.first is not None
+            room.project.labels.accept(*state.first, room.context(1))
 
     room.run().run(accept_the_first)
     assert room.counts == [1] * 5
@@ -112,7 +112,7 @@ def test_a_stop_between_two_reviewed_boxes_keeps_what_was_found_from_either(room
         room.accept(index, 1)
     run = room.run()
     told: list[int] = []
-    done = run.run(lambda state: told.append(len(state.proposed)), lambda: run.state.done == 2)
+    done = run.run(lambda state: told.append(state.tracks[0].boxes), lambda: run.state.done == 2)
     assert (done.done, done.total) == (2, 6)
     assert room.counts == [1, 1, 0, 1, 1]
     assert told == [0, 2]
