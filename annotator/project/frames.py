@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, bindparam, func, select
 
 from annotator.project.audit.writing import Receipt, WriteContext
-from annotator.project.changes import FrameAttributesSet, FrameFinalised, FrameReopened
+from annotator.project.changes import FrameAttributesSet, FrameFinalised
 from annotator.project.database.schema import AnyRow, frames
 from annotator.project.log import Writer
 from annotator.project.recordings import KEPT
@@ -104,7 +104,7 @@ class Frames:
 
     def reopen(self, frame_id: int, context: WriteContext) -> Receipt:
         """Reopens a finalised frame."""
-        return self.writer.append(frame_id, (FrameReopened(),), context)
+        return self.writer.append(frame_id, (FrameFinalised(finalised=False),), context)
 
 
 # Those of a `StoredFrame`, in its order.

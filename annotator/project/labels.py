@@ -13,11 +13,8 @@ from sqlalchemy import Connection, Select, bindparam, func, select
 
 from annotator.project.audit.writing import Receipt, WriteContext
 from annotator.project.changes import (
-    LabelAccepted,
-    LabelAttributesSet,
+    LabelChanged,
     LabelDeleted,
-    LabelEdited,
-    LabelRejected,
     NewLabel,
     Origin,
 )
@@ -183,7 +180,7 @@ class Labels:
 
     def accept(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
         """Accepts a label unchanged."""
-        return self.writer.append(frame_id, (LabelAccepted(uid=uid),), context)
+        return self.writer.append(frame_id, (LabelChanged(uid=uid, state=ReviewState.ACCEPTED),), context)
 
     def edit(
         self,
@@ -197,8 +194,12 @@ class Labels:
     ) -> Receipt:
         """Changes a label's class, box and track."""
         with storable(f"label {uid}"):
-            payload = LabelEdited(uid=uid, label=label, box=BoxRecord.of(box), track_id=track_id)
-        return self.writer.append(frame_id, (payload,), context)
+            record = BoxRecord.of(box)
+        return self.writer.append(
+            frame_id,
+            [LabelChanged(uid=uid, state=ReviewState.EDITED, label=label, box=record, track_id=track_id)],
+            context,
+        )
 
     def set_attributes(
         self, frame_id: int, uid: str, changed: Mapping[str, AttributeValue | None], context: WriteContext
@@ -215,7 +216,7 @@ class Labels:
         with self.writer.store.write() as connection:
             of_tracks = [each for each in Terms(connection).attributes if each.of is AttributeOf.TRACK]
             along = [each for each in of_tracks if each.name in changed]
-            payloads = {frame_id: [LabelAttributesSet(uid=uid, attributes=dict(changed))]}
+            payloads = {frame_id: [LabelChanged(uid=uid, attributes=dict(changed))]}
             revisions = {frame_id: context.revision}
             track = connection.execute(select(labels.c.track_id).where(labels.c.uid == uid)).scalar()
             if along and track is not None:
@@ -224,7 +225,7 @@ class Labels:
                     same_values = {each.name: changed[each.name] for each in along if each.is_of(row.label)}
                     if row.uid != uid and same_values:
                         revisions.setdefault(row.frame_id, row.revision)
-                        same = LabelAttributesSet(uid=row.uid, attributes=same_values)
+                        same = LabelChanged(uid=row.uid, attributes=same_values)
                         payloads.setdefault(row.frame_id, []).append(same)
             parts = []
             for id, of_frame in payloads.items():
@@ -243,7 +244,7 @@ class Labels:
 
     def reject(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
         """Rejects a label: the object does not exist, and is not proposed again."""
-        return self.writer.append(frame_id, (LabelRejected(uid=uid),), context)
+        return self.writer.append(frame_id, (LabelChanged(uid=uid, state=ReviewState.REJECTED),), context)
 
     def delete(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
         """Removes a label; the object may be proposed again."""

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from sqlalchemy import text
 
 from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext, open_project
-from annotator.project.changes import LabelAccepted, LabelDeleted, LabelTracked
+from annotator.project.changes import LabelChanged, LabelDeleted
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.database import migrations
@@ -174,7 +174,7 @@ def actions(
         "image": lambda: project.boxes.set_on_image(frame.id, some_boxes(a), list(BoxKind)[b % 2], change),
         "view": lambda: project.boxes.set_on_view(view, some_boxes(a), BoxKind.BOX, change, frame_id=frame.id),
         "lock": lambda: (project.frames.reopen if frame.finalised else project.frames.finalise)(frame.id, change),
-        "track": lambda: project.log.append(frame.id, [LabelTracked(uid=uid, track_id=b or None)], change),
+        "track": lambda: project.log.append(frame.id, [LabelChanged(uid=uid, track_id=b or None)], change),
         "import": lambda: project.proposals.bring(
             "their detector", {frame.id: [NewLabel("hand", box_at(2.0 * n), 0.9) for n in range(a)]}, who, new_action()
         ),
@@ -193,7 +193,8 @@ def actions(
         "bulk": lambda: project.log.append(
             # a label that is deleted twice refuses all of it
             frame.id,
-            [LabelAccepted(uid=label.uid) for label in labels] + [LabelDeleted(uid=uid)] * (1 + b // 3),
+            [LabelChanged(uid=label.uid, state=ReviewState.ACCEPTED) for label in labels]
+            + [LabelDeleted(uid=uid)] * (1 + b // 3),
             change,
         ),
     }

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from store_samples import box_at, by_hand, by_machine, give_attributes, proposal_at, revised, some_boxes
 
 from annotator.project import NewLabel, Project, StoredRecording
-from annotator.project.changes import LabelTracked
+from annotator.project.changes import LabelChanged
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle
 from annotator.types import Box2D, BoxKind, ReviewState
@@ -135,7 +135,7 @@ def test_values_of_a_track_are_set_in_its_labels_whose_class_has_them_as_one_act
     ]
     assert project.history.next("ann")[0] == "set attributes of 3 labels (frames 1 to 2)"
     # a label that enters the track takes its values, one that leaves it keeps them
-    project.log.append(ids[2], [LabelTracked(uid=uids[2], track_id=9)], revised(project, ids[2]))
+    project.log.append(ids[2], [LabelChanged(uid=uids[2], track_id=9)], revised(project, ids[2]))
     project.labels.edit(ids[2], other, revised(project, ids[2]), label="hand", box=box_at(1.0), track_id=7)
     assert (of(project, uids[2])["side"], of(project, other)["side"]) == ("left", "left")
     with pytest.raises(StaleRevisionError):

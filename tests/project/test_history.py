@@ -11,7 +11,7 @@ from store_samples import box_at, by_hand, by_machine, proposal_at, revised
 
 from annotator.project import NewLabel, Project
 from annotator.project.backup.verify import verify
-from annotator.project.changes import LabelDeleted, LabelTracked
+from annotator.project.changes import LabelChanged, LabelDeleted
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeOf
 from annotator.project.log import new_action
@@ -76,7 +76,7 @@ def test_an_action_without_effect_is_skipped_and_one_of_several_kinds_named_afte
     project: Project, frame: int
 ) -> None:
     uids = project.labels.create(frame, [NewLabel("hand", box_at(x)) for x in (0.0, 5.0)], by_hand()).uids
-    project.log.append(frame, [LabelDeleted(uid=uids[0]), LabelTracked(uid=uids[1], track_id=1)], by_hand(2))
+    project.log.append(frame, [LabelDeleted(uid=uids[0]), LabelChanged(uid=uids[1], track_id=1)], by_hand(2))
     new = NewLabel("hand", box_at(), uid="u")
     project.log.append(frame, [new, LabelDeleted(uid="u")], by_hand(4))
     assert project.history.undo("ann").words == "delete hand (frame 2)"

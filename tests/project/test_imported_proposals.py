@@ -16,7 +16,7 @@ from store_samples import box_at, by_hand, by_machine, proposal_at, revised
 
 from annotator.project import NewLabel, Project, ProjectConfig, StoredRecording, new_action
 from annotator.project.backup.verify import verify
-from annotator.project.changes import LabelEdited
+from annotator.project.changes import LabelChanged
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.classes.counts import ClassCounts
@@ -342,8 +342,12 @@ def test_what_is_behind_a_label_of_a_removed_camera_comes_back_with_it(project: 
     bring(project, here, "one", box(0.0, 0.9))
     bring(project, here, "two", box(0.1, 0.5))
     (label,) = project.labels.of_frame(here)
-    drawn = LabelEdited(
-        uid=label.uid, label="hand", box=BoxRecord.of(label.box), image_box=Box2D("hand", 0.0, 0.0, 9.0, 9.0)
+    drawn = LabelChanged(
+        state=ReviewState.EDITED,
+        uid=label.uid,
+        label="hand",
+        box=BoxRecord.of(label.box),
+        image_box=Box2D("hand", 0.0, 0.0, 9.0, 9.0),
     )
     project.log.append(there, [drawn], revised(project, there))
     project.recordings.remove(2, "ann")

@@ -10,7 +10,7 @@ import pytest
 from store_samples import box_at, by_hand, by_machine, proposal_at, same_box
 
 from annotator.project import REVIEWED, NewLabel, Origin, Project, StoredRecording, WriteContext
-from annotator.project.changes import LabelEdited
+from annotator.project.changes import LabelChanged
 from annotator.project.records import BoxRecord
 from annotator.types import BoxKind, Label, OrientedBox, ReviewState, Source, Suggestion
 from annotator.types.errors import ProjectError
@@ -113,8 +113,12 @@ def test_a_suggestion_counts_as_corrected_once_the_box_changes(project: Project,
     for _ in range(2):
         project.history.undo(by_hand().author)
     assert project.labels.get(uid).label.suggestion == given
-    redrawn = LabelEdited(
-        uid=uid, label="hand", box=BoxRecord.of(box_at(3.0)), suggestion=replace(given, detector="own")
+    redrawn = LabelChanged(
+        state=ReviewState.EDITED,
+        uid=uid,
+        label="hand",
+        box=BoxRecord.of(box_at(3.0)),
+        suggestion=replace(given, detector="own"),
     )
     project.log.append(frame, [redrawn], by_hand(project.frames.get(frame).revision))
     counts = project.statistics().suggested
@@ -148,7 +152,9 @@ def test_a_label_says_what_its_box_encloses_until_it_is_changed(project: Project
     kinds = []
     for revision, kind in ((1, None), (2, BoxKind.BOX)):
         kinds.append(project.labels.get(uid).label.box_kind)
-        payload = LabelEdited(uid=uid, label="hand", box=BoxRecord.of(box_at(2.0)), box_kind=kind)
+        payload = LabelChanged(
+            state=ReviewState.EDITED, uid=uid, label="hand", box=BoxRecord.of(box_at(2.0)), box_kind=kind
+        )
         project.log.append(frame, [payload], by_hand(revision))
     kinds.append(project.labels.get(uid).label.box_kind)
     assert kinds == [BoxKind.SILHOUETTE, BoxKind.SILHOUETTE, BoxKind.BOX]

@@ -15,7 +15,7 @@ from annotator.formats.frame_names import PictureLabels, typed_value
 from annotator.formats.frame_names import Values as Given
 from annotator.formats.table import FlatFormat
 from annotator.project import REVIEWED, FramePart, NewLabel, Project, WriteContext
-from annotator.project.changes import FrameAttributesSet, LabelAttributesSet, Payload
+from annotator.project.changes import FrameAttributesSet, LabelChanged, Payload
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.classes.values import ValueReader, Values
@@ -121,7 +121,7 @@ def give_values(
         given, kept = len(missing), _differing(of_frame, has)
         for label in labels:
             missing = _lacking(values.get(label.uid, {}), label.attributes)
-            payloads += [LabelAttributesSet(uid=label.uid, attributes=dict(missing))] if missing else []
+            payloads += [LabelChanged(uid=label.uid, attributes=dict(missing))] if missing else []
             given, kept = given + len(missing), kept + _differing(values.get(label.uid, {}), label.attributes)
         if not payloads:
             return 0, kept

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from annotator.project import REVIEWED, Effort, Project, StoredFrame, StoredLabel, new_action
-from annotator.project.changes import REQUESTED, LabelDeleted, LabelTracked, NewLabel, Payload
+from annotator.project.changes import REQUESTED, LabelChanged, LabelDeleted, NewLabel, Payload
 from annotator.project.overview import read_page
 from annotator.tracking.link import overlap_at_place
 from annotator.types import Label, OrientedBox, Proposal, ReviewState
@@ -305,7 +305,7 @@ class FollowRun:
         if any(label.uid == key.label.uid or label.state in REVIEWED for label in same):
             return []
         replaced = [LabelDeleted(uid=label.uid) for label in same if label.state is ReviewState.PROPOSED]
-        return [*replaced, LabelTracked(uid=key.label.uid, track_id=track_id)]
+        return [*replaced, LabelChanged(uid=key.label.uid, track_id=track_id)]
 
     def _without_stale(
         self, item: FollowedObject, track_id: int, read: Mapping[int, StoredFrame]
