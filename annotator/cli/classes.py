@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from pydantic import ValidationError
@@ -18,7 +17,6 @@ from annotator.project.classes.attributes import (
     AttributeKind,
     AttributeOf,
     ClassStyle,
-    Relabelling,
     value_text,
 )
 from annotator.project.classes.counts import ClassCounts
@@ -136,12 +134,12 @@ def remove(
             raise ConfigError("--into keeps the boxes and --with-boxes removes them; give one of both")
         merge(project, (name,), into=into)
         return
-
-    def removed(config: ProjectConfig) -> ClassEdit:
-        made = edit.remove_class(config, name)
-        return made if with_boxes else replace(made, change=Relabelling())
-
-    _change(project, removed, *([name] if with_boxes else []), verb="removed with the class")
+    _change(
+        project,
+        lambda config: edit.remove_class(config, name, with_boxes=with_boxes),
+        *([name] if with_boxes else []),
+        verb="removed with the class",
+    )
 
 
 def attribute(

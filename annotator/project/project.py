@@ -18,7 +18,6 @@ from annotator.project.backup.archive import MODELS_FOLDER, VIEWS_FOLDER, requir
 from annotator.project.backup.make import back_up_before_upgrade
 from annotator.project.backup.snapshot import database_problems, new_project
 from annotator.project.boxes import Boxes, Views
-from annotator.project.classes.attributes import Relabelling
 from annotator.project.classes.changing import MadeChange, made_changes, present_names, set_up_classes
 from annotator.project.classes.changing import change_classes as change_rows
 from annotator.project.classes.counts import ClassCounts, class_counts, value_counts
@@ -121,7 +120,7 @@ class Project:
         with self.store.write() as connection:
             old = self._config(connection)
             made = edit(old)
-            if made.config != old or made.change != Relabelling():
+            if made.config != old or made.values:
                 change_rows(self.store, connection, made, author)
             return made.config
 

@@ -2,32 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from pydantic import ValidationError
 
-from annotator.project.classes.attributes import (
-    MEASURED,
-    Attribute,
-    AttributeKind,
-    AttributeOf,
-    ClassStyle,
-    Filled,
-    Relabelling,
-)
+from annotator.project.classes.attributes import MEASURED, Attribute, AttributeKind, AttributeOf, ClassStyle
 from annotator.project.config import ProjectConfig
 from annotator.types.errors import ConfigError, NotFoundError
+from annotator.types.label import AttributeValue
 from annotator.types.messages import alternatives, first_problem
 
 
 @dataclass(frozen=True)
 class ClassEdit:
-    """A change in words: the new configuration, and what happens to stored labels."""
+    """A change in words: the new configuration, and what happens to stored boxes.
+
+    Attributes:
+        names: old name of a class -> new one; several old ones may get the same.
+        removed: the class whose boxes go.
+        values: the values of a box of a class (its new name; None: of a frame) -> those after the change; None: they
+            stay.
+    """
 
     words: str
     config: ProjectConfig
-    change: Relabelling = field(default_factory=Relabelling)
+    names: Mapping[str, str] = field(default_factory=dict)
+    removed: str | None = None
+    values: Callable[[str | None, Mapping[str, AttributeValue]], dict[str, AttributeValue]] | None = None
 
 
 def add_class(config: ProjectConfig, name: str, style: ClassStyle | None = None) -> ClassEdit:
@@ -98,11 +100,11 @@ def merge_classes(config: ProjectConfig, old: Sequence[str], into: str) -> Class
     return _replaced(f"merge {', '.join(old)} into the class {into}", config, dict.fromkeys(old, into), left)
 
 
-def remove_class(config: ProjectConfig, name: str) -> ClassEdit:
-    """Removes a class with its boxes."""
+def remove_class(config: ProjectConfig, name: str, *, with_boxes: bool = True) -> ClassEdit:
+    """Removes a class, and its boxes."""
     require_class(config, name)
     new = with_classes(config, [label for label in config.classes if label != name])
-    return ClassEdit(f"remove the class {name}", new, Relabelling(removed=(name,)))
+    return ClassEdit(f"remove the class {name}", new, removed=name if with_boxes else None)
 
 
 def put_attribute(config: ProjectConfig, attribute: Attribute, *, drop: bool = False) -> ClassEdit:
@@ -128,11 +130,19 @@ def put_attribute(config: ProjectConfig, attribute: Attribute, *, drop: bool = F
         )
     is_other_look = before not in (None, attribute) and attribute.has_same_values(before)
     fills = attribute.default is not None and attribute.of is not AttributeOf.FRAME and not is_other_look
-    filled = (_filled(attribute),) if fills else ()
-    change = Relabelling(filled=filled, fitted=(attribute,) if drop else ())
+
+    def values(label: str | None, present: Mapping[str, AttributeValue]) -> dict[str, AttributeValue]:
+        new, name = dict(present), attribute.name
+        has = label is None or attribute.is_of(label)
+        if drop and name in new and not (has and attribute.fits(new[name])):
+            del new[name]
+        if fills and attribute.default is not None and label is not None and has:
+            new.setdefault(name, attribute.checked(attribute.default))
+        return new
+
     words = f"{'add' if before is None else 'change'} the attribute {attribute.name}"
     new = _with(config, attributes=tuple((known | {attribute.name: attribute}).values()))
-    return ClassEdit(words, new, change)
+    return ClassEdit(words, new, values=values if fills or drop else None)
 
 
 def rename_attribute(config: ProjectConfig, old: str, new: str) -> ClassEdit:
@@ -142,14 +152,22 @@ def rename_attribute(config: ProjectConfig, old: str, new: str) -> ClassEdit:
         raise ConfigError(f"project {config.name} has the attribute {new!r} already")
     renamed = [each.model_dump() | {"name": new} if each.name == old else each for each in config.attributes]
     words = f"rename the attribute {old} to {new}"
-    return ClassEdit(words, _with(config, attributes=renamed), Relabelling(attributes={old: new}))
+    return ClassEdit(
+        words,
+        _with(config, attributes=renamed),
+        values=lambda _, values: {new if name == old else name: value for name, value in values.items()},
+    )
 
 
 def remove_attribute(config: ProjectConfig, name: str) -> ClassEdit:
     """Removes an attribute with its values."""
     find_attribute(config, name)
     left = tuple(each for each in config.attributes if each.name != name)
-    return ClassEdit(f"remove the attribute {name}", _with(config, attributes=left), Relabelling(dropped=(name,)))
+    return ClassEdit(
+        f"remove the attribute {name}",
+        _with(config, attributes=left),
+        values=lambda _, values: {each: value for each, value in values.items() if each != name},
+    )
 
 
 def rename_choice(config: ProjectConfig, name: str, old: str, new: str) -> ClassEdit:
@@ -162,7 +180,11 @@ def rename_choice(config: ProjectConfig, name: str, old: str, new: str) -> Class
     changed = attribute.model_dump() | {"choices": choices, "default": default}
     attributes = [changed if each.name == name else each for each in config.attributes]
     words = f"rename {old} of the attribute {name} to {new}"
-    return ClassEdit(words, _with(config, attributes=attributes), Relabelling(choices={name: {old: new}}))
+    return ClassEdit(
+        words,
+        _with(config, attributes=attributes),
+        values=lambda _, values: {**values, name: new} if values.get(name) == old else dict(values),
+    )
 
 
 def find_attribute(config: ProjectConfig, name: str) -> Attribute:
@@ -172,11 +194,6 @@ def find_attribute(config: ProjectConfig, name: str) -> Attribute:
         other = alternatives(name, [each.name for each in config.attributes])
         raise NotFoundError(f"project {config.name} has no attribute {name!r}; {other}")
     return found
-
-
-def _filled(attribute: Attribute) -> Filled:
-    assert attribute.default is not None
-    return Filled(name=attribute.name, value=attribute.checked(attribute.default), classes=attribute.classes)
 
 
 def _replaced(words: str, config: ProjectConfig, names: dict[str, str], classes: Sequence[str]) -> ClassEdit:
@@ -191,7 +208,7 @@ def _replaced(words: str, config: ProjectConfig, names: dict[str, str], classes:
         for each in config.attributes
     ]
     new = _with(config, classes=tuple(classes), class_styles=styles, attributes=tuple(attributes))
-    return ClassEdit(words, new, Relabelling(classes=names))
+    return ClassEdit(words, new, names)
 
 
 def _styled(config: ProjectConfig, name: str, style: ClassStyle | None) -> dict[str, ClassStyle]:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import logging
 import shlex
-from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter
@@ -25,7 +24,7 @@ from annotator.project import (
     list_projects,
 )
 from annotator.project.classes import edit
-from annotator.project.classes.attributes import Attribute, ClassStyle, Relabelling, Value
+from annotator.project.classes.attributes import Attribute, ClassStyle, Value
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.config import rename_project, set_aside
 from annotator.project.database.store import waiting_at_most
@@ -322,8 +321,7 @@ class Remove(Schema):
     def edit(self, config: ProjectConfig) -> ClassEdit:
         if self.do == "remove_attribute":
             return edit.remove_attribute(config, self.name)
-        made = edit.remove_class(config, self.name)
-        return made if self.with_boxes else replace(made, change=Relabelling())
+        return edit.remove_class(config, self.name, with_boxes=self.with_boxes)
 
 
 class Order(Schema):
