@@ -43,7 +43,7 @@ from annotator.project.proposals import Proposals
 from annotator.project.recordings import Recordings
 from annotator.project.rows import Terms
 from annotator.project.statistics import Statistics, read_statistics
-from annotator.types.errors import RESTORE, ProjectError
+from annotator.types.errors import RESTORE, ConfigError, ProjectError
 from annotator.types.messages import first_problem
 
 AUTHOR = "annotator"
@@ -119,7 +119,10 @@ class Project:
         # the lock prevents new boxes of a removed class
         with self.store.write() as connection:
             old = self._config(connection)
-            made = edit(old)
+            try:
+                made = edit(old)
+            except ValidationError as error:
+                raise ConfigError(first_problem(error)) from error
             if made.config != old or made.values:
                 change_rows(self.store, connection, made, author)
             return made.config

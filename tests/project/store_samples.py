@@ -104,14 +104,14 @@ def sorted_state(project: Project) -> dict[str, list[tuple[object, ...]]]:
 
 
 CLASS_EDITS = (
-    lambda config, b: edit.rename_class(config, config.classes[b % len(config.classes)], "hand" if b else "palm"),
-    lambda config, b: edit.merge_classes(config, config.classes[1:2], config.classes[0]),
-    lambda config, b: edit.add_class(config, ("hand", "person", "palm")[b % 3]),
+    lambda config, b: edit.RenameClass(name=config.classes[b % len(config.classes)], new="hand" if b else "palm"),
+    lambda config, b: edit.MergeClasses(names=config.classes[1:2], into=config.classes[0]),
+    lambda config, b: edit.AddClass(name=("hand", "person", "palm")[b % 3]),
     lambda config, b: (
-        lambda: edit.rename_attribute(config, "pose", "posture"),
-        lambda: edit.remove_class(config, config.classes[-1]),
-        lambda: edit.remove_attribute(config, "side"),
-        lambda: edit.put_attribute(config, ATTRIBUTES[0], drop=True),
+        lambda: edit.RenameAttribute(name="pose", new="posture"),
+        lambda: edit.RemoveClass(name=config.classes[-1], with_boxes=True),
+        lambda: edit.RemoveAttribute(name="side"),
+        lambda: edit.PutAttribute(attribute=ATTRIBUTES[0], drop=True),
     )[b](),
 )
 
@@ -189,7 +189,7 @@ def actions(
             frame.id, uid, {"severity": a or None, "side": f"side {b}"}, change
         ),
         "frame values": lambda: project.frames.set_attributes(frame.id, {"weather": float(a) or None}, change),
-        "classes": lambda: project.change_classes(lambda config: CLASS_EDITS[a](config, b), who),
+        "classes": lambda: project.change_classes(lambda config: CLASS_EDITS[a](config, b)(config), who),
         "bulk": lambda: project.log.append(
             # a label that is deleted twice refuses all of it
             frame.id,
@@ -210,7 +210,7 @@ def _carried_over(frame: StoredFrame, track_id: int, who: str, behind: int) -> F
 def give_attributes(project: Project) -> None:
     """Gives the project the attributes `ATTRIBUTES`."""
     for attribute in ATTRIBUTES:
-        project.change_classes(lambda config, attribute=attribute: edit.put_attribute(config, attribute), "ann")
+        project.change_classes(edit.PutAttribute(attribute=attribute), "ann")
 
 
 def stored_state(project: Path) -> dict[str, list[tuple[object, ...]]]:

@@ -88,7 +88,7 @@ BEFORE, VALUE, AFTER = {"kind": "boolean"}, True, {"kind": "integer"}
 
 def put(project: Project, of: str, definition: dict[str, Any], name: str = "state", *, drop: bool = False) -> None:
     attribute = Attribute(name=name, of=AttributeOf(of), **definition)
-    project.change_classes(lambda config: edit.put_attribute(config, attribute, drop=drop), "bea")
+    project.change_classes(edit.PutAttribute(attribute=attribute, drop=drop), "bea")
 
 
 def set_on_frame(project: Project, frame: int, **values: Any) -> None:

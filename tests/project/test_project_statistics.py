@@ -156,7 +156,7 @@ def test_values_are_counted_with_the_defaults_of_frames(project: Project, record
     rain = Attribute(name="rain", kind=AttributeKind.BOOLEAN, of=AttributeOf.FRAME, default=False)
     place = Attribute(name="place", kind=AttributeKind.TEXT, of=AttributeOf.FRAME)
     for attribute in (pose, rain, place):
-        project.change_classes(lambda config, each=attribute: edit.put_attribute(config, each), "ann")
+        project.change_classes(edit.PutAttribute(attribute=attribute), "ann")
     empty = project.statistics()
     assert empty.attributes == {"pose": {}, "rain": {"false": 5}, "place": {}}
     assert empty.without_value == {"pose": 0, "rain": 0, "place": 5}

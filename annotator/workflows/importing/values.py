@@ -6,7 +6,6 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -65,7 +64,7 @@ def add_attributes(project: Project, found: FoundValues, author: str = AUTHOR) -
         *_attributes(of_frames, known | of_boxes.keys(), AttributeOf.FRAME),
     ]
     for attribute in new:
-        project.change_classes(partial(edit.put_attribute, attribute=attribute), author)
+        project.change_classes(edit.PutAttribute(attribute=attribute), author)
     return tuple(new)
 
 

@@ -194,7 +194,7 @@ def test_empty_boxes_and_unreadable_frames_are_found_in_the_recording(people: Pr
 
 
 def put(project: Project, attribute: Attribute) -> None:
-    project.change_classes(lambda config: edit.put_attribute(config, attribute), "ann")
+    project.change_classes(edit.PutAttribute(attribute=attribute), "ann")
 
 
 def found(project: Project) -> list[tuple[str, str]]:
