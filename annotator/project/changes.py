@@ -20,7 +20,6 @@ from annotator.types.label import MOST_TRACK, AttributeValue, Said
 ViewId = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Uid = Annotated[str, Field(min_length=1, max_length=64)]
 ClassName = Annotated[str, Field(min_length=1)]
-Values = dict[str, Value]
 ChangedValues = dict[AttributeName, Value | None]
 TrackId = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
 
@@ -191,7 +190,7 @@ class FrameFinalised(_Checked):
 
 
 class FrameAttributesSet(_Checked):
-    """Replaces all values of the frame's attributes."""
+    """Sets values of the frame's attributes; None removes one."""
 
     kind = "frame_attributes_set"
-    attributes: Values
+    attributes: ChangedValues

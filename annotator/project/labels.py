@@ -203,13 +203,10 @@ class Labels:
 
     def set_attributes(
         self, frame_id: int, uid: str, changed: Mapping[str, AttributeValue | None], context: WriteContext
-    ) -> tuple[tuple[int, Receipt], ...]:
+    ) -> None:
         """Sets values of a label's attributes (None removes one); those of its track in all labels of the track.
 
         A proposal of which a person has set values is not replaced by automatic passes (`kept`).
-
-        Returns:
-            The changed frames with their receipts, that of the label first.
         """
         # tells the label from those of its track that follow
         context = replace(context, effort_target=context.effort_target or uid)
@@ -231,7 +228,7 @@ class Labels:
             for id, of_frame in payloads.items():
                 parts.append(FramePart(id, of_frame, replace(context, revision=revisions[id])))
                 context = replace(context, effort=None)  # counted once, on the label's frame
-            return tuple(zip(payloads, self.writer.to_frames_in(connection, parts), strict=True))
+            self.writer.to_frames_in(connection, parts)
 
     def kept(self, frame_id: int) -> frozenset[str]:
         """Uids of the moment's proposals that no automatic pass replaces, as `classes.values.is_kept`."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from annotator.geometry.oriented_box import same_box
@@ -22,7 +22,7 @@ from annotator.project.changes import (
     ViewBoxesRemoved,
     ViewBoxesSet,
 )
-from annotator.project.classes.attributes import AttributeOf, fitting
+from annotator.project.classes.attributes import Attribute, AttributeOf, fitting
 from annotator.project.classes.values import Values, after_edit, checked, new_values, of_tracks
 from annotator.project.database.schema import columns_of
 from annotator.project.records import OWN, SaidRecord, suggestion_json
@@ -65,7 +65,10 @@ def make(write: Write, payload: Payload) -> None:
             for uid in [row["uid"] for row in write.labels() if payload.uid in (row["uid"], row["behind"])]:
                 write.put("labels", uid, None)
         case FrameAttributesSet():
-            _set_frame_values(write, payload.attributes)
+            of_frames = [each for each in write.terms.attributes if each.of is AttributeOf.FRAME]
+            row = _frame(write)
+            values = _with_values(values_of(row["attributes"]), payload.attributes, of_frames, "a frame")
+            write.put("frames", row["id"], row | {"attributes": values_json(values) if values else None})
         case FrameFinalised():
             _set_finalised(write, payload.finalised)
             kind = kind if payload.finalised else "frame_reopened"
@@ -223,27 +226,29 @@ def _change(write: Write, payload: LabelChanged, *, is_linked: bool = False) -> 
         of_track = _values_of_tracks(write, [payload.track_id]).get(payload.track_id, {}) if is_other else {}
         values = after_edit(terms.attributes, values, before, name, of_track)
     if payload.attributes:
-        new = {key: value for key, value in payload.attributes.items() if value is not None}
-        values |= new if is_linked else checked(terms.attributes_of(name), new, name)
-        values = {key: value for key, value in values.items() if payload.attributes.get(key, value) is not None}
+        values = _with_values(values, payload.attributes, terms.attributes_of(name), name)
         is_own = write.context.source is Source.MANUAL and write.context.effort_target in (None, payload.uid)
         changed["values_set"] = int(is_own or row["values_set"])
     write.put("labels", payload.uid, row | changed | {"attributes": values_json(values)})
 
 
-def _set_frame_values(write: Write, values: Mapping[str, AttributeValue]) -> None:
-    assert write.frame_id is not None  # only frames have values
+def _with_values(
+    present: Values, changed: Mapping[str, AttributeValue | None], attributes: Sequence[Attribute], what: str
+) -> Values:
+    """Values with changed ones, of which None removes one; `what` has them, for messages."""
+    new = checked(attributes, {name: value for name, value in changed.items() if value is not None}, what)
+    return {name: value for name, value in present.items() if name not in changed} | new
+
+
+def _frame(write: Write) -> Row:
+    assert write.frame_id is not None  # only frames have values, and are finalised
     row = write.row("frames", write.frame_id)
     assert row is not None  # `require_writable` has found it
-    of_frames = [each for each in write.terms.attributes if each.of is AttributeOf.FRAME]
-    after = checked(of_frames, values, "a frame")
-    write.put("frames", write.frame_id, row | {"attributes": values_json(after) if after else None})
+    return row
 
 
 def _set_finalised(write: Write, finalised: bool) -> None:
-    assert write.frame_id is not None  # only frames are finalised
-    row = write.row("frames", write.frame_id)
-    assert row is not None  # `require_writable` has found it
+    row = _frame(write)
     if bool(row["finalised"]) == finalised:
         raise ProjectError(f"{write.where}: the frame is {'already' if finalised else 'not'} finalised")
-    write.put("frames", write.frame_id, row | {"finalised": int(finalised)})
+    write.put("frames", row["id"], row | {"finalised": int(finalised)})

@@ -116,7 +116,7 @@ def give_values(
         revision = project.frames.get(frame_id).revision
         has, labels = project.frames.attributes_of(frame_id), project.labels.of_frame(frame_id)
         missing, values = _lacking(of_frame, has), of_labels(labels)
-        payloads: list[Payload] = [FrameAttributesSet(attributes=has | missing)] if missing else []
+        payloads: list[Payload] = [FrameAttributesSet(attributes=dict(missing))] if missing else []
         given, kept = len(missing), _differing(of_frame, has)
         for label in labels:
             missing = _lacking(values.get(label.uid, {}), label.attributes)
