@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
-from sqlalchemy import Connection, bindparam, func, select, true
+from sqlalchemy import Connection, bindparam, func, select
 
 from annotator.project.adjusting import Adjustment, adjustment_row
 from annotator.project.adjustments import KIND as ADJUSTED
@@ -24,7 +24,6 @@ from annotator.project.adjustments import make_stale
 from annotator.project.audit.events import (
     CLASSES,
     Effort,
-    Event,
     RowChange,
     as_one,
     event_of,
@@ -447,7 +446,7 @@ class _Part:
 
     def _name(self, row: RowChange) -> str:
         if row.table == "labels":
-            return f"the {_class_of(self.connection, row, self._last[row.table, row.key])} label"
+            return f"the {_class_of(self.connection, row)} label"
         if row.table == "classes":
             return f"the class {self._terms.names[int(row.key)]}"
         return f"the attribute {row.key}" if row.table == "attributes" else _TABLE_NAMES[row.table]
@@ -461,17 +460,11 @@ _TABLE_NAMES = {
 }
 
 
-def _class_of(connection: Connection, row: RowChange, event: Event) -> str:
-    """The class of a changed label after an event."""
-    states = [row.after, row.before]
-    if not any(state is not None and "class_id" in state for state in states):
-        of_frame = true() if event.frame_id is None else in_moment_of(event.frame_id) | events.c.frame_id.is_(None)
-        query = select(events.c.rows).where(events.c.id > event.id, of_frame).order_by(events.c.id)
-        later = (each for content in connection.execute(query).scalars() for each in rows_of(content))
-        states += [each.before for each in later if (each.table, each.key) == ("labels", row.key)]
-        states.append(read_row(connection, "labels", row.key))
-    number = next(state["class_id"] for state in states if state is not None and "class_id" in state)
-    return Terms(connection).names[number]
+def _class_of(connection: Connection, row: RowChange) -> str:
+    """The class of a changed label: as the change says, else the present one."""
+    states = (row.after, row.before, read_row(connection, "labels", row.key))
+    number = next((state["class_id"] for state in states if state is not None and "class_id" in state), None)
+    return "label" if number is None else Terms(connection).names[number]
 
 
 # --- descriptions for the page ----------------------------------------------------------------------------------------
@@ -482,8 +475,8 @@ def _description(connection: Connection, step: Step) -> str:
     rows = connection.execute(_NAMED, {"action": step.original}).all()
     made, keys = [event_of(row) for row in rows], [row.key for row in rows]
     first, last = made[0], made[-1]
-    if first.view_id == CLASSES:
-        return first.effort_target or "change the classes"
+    if first.view_id == CLASSES or first.kind == ADJUSTED:
+        return first.effort_target or "change"
     is_one = first.frame_id == last.frame_id
     where = f"frame {keys[0]}" if is_one else f"frames {keys[0]} to {keys[-1]}"
     kinds = {event.kind for event in made}
@@ -491,8 +484,6 @@ def _description(connection: Connection, step: Step) -> str:
         what = f"boxes of {first.effort_target}" if first.kind == IMPORTED else ""
         what = what or ("3D boxes" if any(kind.startswith("label") for kind in kinds) else "2D boxes")
         return f"import {what} ({where})"
-    if first.kind == ADJUSTED:
-        return _adjustment_words(connection, first)
     kind, verb = next(((kind, verb) for kind, verb in VERBS if kind in kinds), ("", "change"))
     if first.source is Source.AUTO:
         return f"{verb} boxes ({where})"
@@ -506,17 +497,5 @@ def _description(connection: Connection, step: Step) -> str:
     if len(counted) > 1:
         return f"{verb} {len(counted)} labels ({where})"
     for row in counted.values():
-        return f"{verb} {_class_of(connection, row, last)} ({where})"
+        return f"{verb} {_class_of(connection, row)} ({where})"
     return f"{verb} {where}" if kinds & {"frame_finalised", "frame_reopened"} else f"{verb} ({where})"
-
-
-def _adjustment_words(connection: Connection, event: Event) -> str:
-    """Such as "set up of room-3"."""
-    named = select(recordings.c.name).join(frames, frames.c.recording_id == recordings.c.id)
-    named = named.where(frames.c.id == event.frame_id)
-    is_turned = False
-    for row in event.rows:  # none, where it was set to what it was
-        before, after = (adjustment_row(0, Adjustment(None)) | (state or {}) for state in (row.before, row.after))
-        is_turned = row.before is None and before["correction"] != after["correction"]
-        is_turned |= row.before is not None and "correction" in row.before
-    return f"{'correct the calibration of' if is_turned else 'set up of'} {connection.execute(named).scalar_one()}"
