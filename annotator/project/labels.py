@@ -21,7 +21,7 @@ from annotator.project.changes import (
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.classes.values import is_kept, labels_of_tracks
 from annotator.project.database.schema import ALL_LABELS, LABELS_OF_MOMENT, AnyRow, frames, labels
-from annotator.project.log import FramePart, Writer
+from annotator.project.log import Writer, new_action
 from annotator.project.recordings import of_rig
 from annotator.project.records import OWN, BoxRecord, SaidRecord, storable, suggestion_of
 from annotator.project.rows import Names, Place, Terms, box_2d_of, box_of, said_in, values_of
@@ -224,11 +224,11 @@ class Labels:
                         revisions.setdefault(row.frame_id, row.revision)
                         same = LabelChanged(uid=row.uid, attributes=same_values)
                         payloads.setdefault(row.frame_id, []).append(same)
-            parts = []
+            action = new_action()
             for id, of_frame in payloads.items():
-                parts.append(FramePart(id, of_frame, replace(context, revision=revisions[id])))
+                context = replace(context, revision=revisions[id])
+                self.writer.to_frame_in(connection, id, of_frame, context, action)
                 context = replace(context, effort=None)  # counted once, on the label's frame
-            self.writer.to_frames_in(connection, parts)
 
     def kept(self, frame_id: int) -> frozenset[str]:
         """Uids of the moment's proposals that no automatic pass replaces, as `classes.values.is_kept`."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from store_samples import box_at, by_hand, by_machine, proposal_at, same_box
+from store_samples import box_at, by_hand, by_machine, proposal_at, revised, same_box
 
 from annotator.project import REVIEWED, NewLabel, Origin, Project, StoredRecording, WriteContext
 from annotator.project.changes import LabelChanged
@@ -72,26 +72,18 @@ def test_created_labels_keep_their_state_and_source(project: Project, frame: int
 
 def test_a_stored_label_has_the_signals_of_its_proposal(project: Project, frame: int) -> None:
     proposal = proposal_at()
+    unsure = replace(proposal, quality=replace(proposal.quality, expected_iou_loss=0.25))
     odd = replace(proposal, quality=replace(proposal.quality, view_disagreement=math.nan, last_change=math.inf))
-    uids = project.proposals.replace(frame, [proposal, odd], by_machine()).uids
-    assert project.labels.get(uids[0]).quality == proposal.quality
+    uids = project.proposals.replace(frame, [unsure, odd], by_machine()).uids
     quality = project.labels.get(uids[1]).quality
     assert quality is not None
     assert math.isnan(quality.view_disagreement)
     assert (quality.kept_share, quality.last_change) == (0.9, math.inf)
-
-
-def test_a_label_has_the_expected_iou_loss_of_its_proposal_until_somebody_edits_it(
-    project: Project, frame: int
-) -> None:
-    proposal = proposal_at()
-    unsure = replace(proposal, quality=replace(proposal.quality, expected_iou_loss=0.25))
-    (uid,) = project.proposals.replace(frame, [unsure], by_machine()).uids
-    assert project.labels.get(uid).label.expected_iou_loss == 0.25
-    project.labels.edit(frame, uid, by_hand(project.frames.get(frame).revision), label="hand", box=box_at(2.0))
-    edited = project.labels.get(uid)
-    assert edited.label.expected_iou_loss is None
-    assert edited.quality is not None and edited.quality.expected_iou_loss == 0.25
+    # the doubt about a box is gone with the box
+    for expected in (0.25, None):
+        stored = project.labels.get(uids[0])
+        assert (stored.quality, stored.label.expected_iou_loss) == (unsure.quality, expected)
+        project.labels.edit(frame, uids[0], revised(project, frame), label="hand", box=box_at(2.0))
 
 
 def test_a_suggestion_counts_as_corrected_once_the_box_changes(project: Project, frame: int) -> None:
@@ -120,10 +112,10 @@ def test_a_suggestion_counts_as_corrected_once_the_box_changes(project: Project,
         box=BoxRecord.of(box_at(3.0)),
         suggestion=replace(given, detector="own"),
     )
-    project.log.append(frame, [redrawn], by_hand(project.frames.get(frame).revision))
+    project.log.append(frame, [redrawn], revised(project, frame))
     counts = project.statistics().suggested
     assert {name: (each.as_suggested, each.corrected) for name, each in counts.items()} == {"own": (1, 0)}
-    project.labels.reject(frame, uid, by_hand(project.frames.get(frame).revision))
+    project.labels.reject(frame, uid, revised(project, frame))
     assert project.statistics().suggested == {}, "a rejected object is not counted"
 
 
