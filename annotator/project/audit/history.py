@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
-from sqlalchemy import Connection, bindparam, func, select
+from sqlalchemy import Connection, bindparam, func, select, true
 
 from annotator.project.adjusting import Adjustment, adjustment_row
 from annotator.project.adjustments import KIND as ADJUSTED
@@ -24,6 +24,7 @@ from annotator.project.adjustments import make_stale
 from annotator.project.audit.events import (
     CLASSES,
     Effort,
+    Event,
     RowChange,
     as_one,
     event_of,
@@ -446,7 +447,7 @@ class _Part:
 
     def _name(self, row: RowChange) -> str:
         if row.table == "labels":
-            return f"the {_class_of(self.connection, row)} label"
+            return f"the {_class_of(self.connection, row, self._last[row.table, row.key])} label"
         if row.table == "classes":
             return f"the class {self._terms.names[int(row.key)]}"
         return f"the attribute {row.key}" if row.table == "attributes" else _TABLE_NAMES[row.table]
@@ -460,11 +461,17 @@ _TABLE_NAMES = {
 }
 
 
-def _class_of(connection: Connection, row: RowChange) -> str:
-    """The class of a changed label: as the change says, else the present one."""
-    states = (row.after, row.before, read_row(connection, "labels", row.key))
-    number = next((state["class_id"] for state in states if state is not None and "class_id" in state), None)
-    return "label" if number is None else Terms(connection).names[number]
+def _class_of(connection: Connection, row: RowChange, event: Event) -> str:
+    """The class of a changed label after an event."""
+    states = [row.after, row.before]
+    if not any(state is not None and "class_id" in state for state in states):
+        of_frame = true() if event.frame_id is None else in_moment_of(event.frame_id) | events.c.frame_id.is_(None)
+        query = select(events.c.rows).where(events.c.id > event.id, of_frame).order_by(events.c.id)
+        later = (each for content in connection.execute(query).scalars() for each in rows_of(content))
+        states += [each.before for each in later if (each.table, each.key) == ("labels", row.key)]
+        states.append(read_row(connection, "labels", row.key))
+    number = next(state["class_id"] for state in states if state is not None and "class_id" in state)
+    return Terms(connection).names[number]
 
 
 # --- descriptions for the page ----------------------------------------------------------------------------------------
@@ -497,5 +504,5 @@ def _description(connection: Connection, step: Step) -> str:
     if len(counted) > 1:
         return f"{verb} {len(counted)} labels ({where})"
     for row in counted.values():
-        return f"{verb} {_class_of(connection, row)} ({where})"
+        return f"{verb} {_class_of(connection, row, last)} ({where})"
     return f"{verb} {where}" if kinds & {"frame_finalised", "frame_reopened"} else f"{verb} ({where})"
