@@ -64,9 +64,7 @@ def test_an_undo_that_conflicts_with_a_later_change_names_it_and_can_be_skipped(
     project.labels.accept(frame, uids[1], by_hand(1))
     project.labels.accept(frame, uids[0], by_hand(2))
     project.labels.edit(frame, uids[0], by_hand(3, "bob"), label="person", box=box_at(1.0))
-    with pytest.raises(
-        HistoryError, match=r"the hand label was changed by bob since .*nothing was changed"
-    ) as caught:
+    with pytest.raises(HistoryError, match=r"the hand label was changed by bob since .*nothing was changed") as caught:
         project.history.undo("ann")
     assert caught.value.frame_id == frame
     assert project.history.undo("ann", skip=True).words == "accept hand (frame 2)"
