@@ -19,7 +19,7 @@ from annotator.detection.pretrained import has_base
 from annotator.evaluation.report import Report
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.geometry.outline import box_on_image
-from annotator.project.changes import LabelAccepted, LabelEdited, LabelRejected, LabelTracked, Payload
+from annotator.project.changes import LabelChanged, Payload
 from annotator.project.records import BoxRecord
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import TaughtObject
@@ -211,14 +211,14 @@ class SimulatedOperator:
             label, best = labels[index], int(ious[index].argmax()) if truths else -1
             iou = float(ious[index, best]) if truths else 0.0
             if iou < SAME_IOU or best in taken:
-                payloads.append(LabelRejected(uid=label.uid))
+                payloads.append(LabelChanged(uid=label.uid, state=ReviewState.REJECTED))
                 continue
             taken[best] = iou
             if iou >= GOOD_IOU:
-                payloads.append(LabelAccepted(uid=label.uid))
+                payloads.append(LabelChanged(uid=label.uid, state=ReviewState.ACCEPTED))
             else:
                 box = BoxRecord.of(truths[best].box)
-                payloads.append(LabelEdited(uid=label.uid, label=label.label, box=box, track_id=label.track_id))
+                payloads.append(LabelChanged(uid=label.uid, state=ReviewState.EDITED, box=box))
                 tracks.append(label.track_id)
         if payloads:
             self._project.log.append(stored.id, payloads, context)
@@ -242,7 +242,7 @@ class SimulatedOperator:
         untracked = [label for label in self._labels(stored, store.REVIEWED) if label.track_id is None]
         first = self._project.labels.next_track_id(self._recording_id)
         tracks = list(range(first, first + len(untracked)))
-        payloads = [LabelTracked(uid=at.uid, track_id=track) for at, track in zip(untracked, tracks, strict=True)]
+        payloads = [LabelChanged(uid=at.uid, track_id=track) for at, track in zip(untracked, tracks, strict=True)]
         if payloads:
             self._project.log.append_to_frames([store.FramePart(stored.id, payloads, context)], new_tracks=tracks)
         return tracks

@@ -28,11 +28,11 @@ from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
 from annotator.image_bytes import encoded_image
 from annotator.project import REVIEWED, Effort, Origin, Project, StoredFrame
-from annotator.project.changes import LabelAccepted, LabelEdited, LabelRejected, NewLabel
+from annotator.project.changes import LabelChanged, NewLabel
 from annotator.project.records import BoxRecord
 from annotator.rcv.known_objects import draw_object
 from annotator.rcv.teach import project_box
-from annotator.types import Box2D, BoxKind, Label, OrientedBox, PseudoView
+from annotator.types import Box2D, BoxKind, Label, OrientedBox, PseudoView, ReviewState
 from annotator.types.errors import ConfigError
 from annotator.workflows.tracks.copy_next import carry_correction
 from annotator.workflows.tracks.follow_run import follow_from_frame
@@ -242,11 +242,11 @@ class Operator:
             elif thing is None:
                 self.desk.look(frame, label.box, self.desk.bills[None], is_ahead=True)
                 self.desk.bills[None].act("reject", KEY_S)
-                self.desk.store(frame, [LabelRejected(uid=label.uid)])
+                self.desk.store(frame, [LabelChanged(uid=label.uid, state=ReviewState.REJECTED)])
         if together:
             for label in together:
                 self.desk.bills[meant[label.uid].key].act("accept all", CHORD_S, among=len(together))
-            self.desk.store(frame, [LabelAccepted(uid=label.uid) for label in together])
+            self.desk.store(frame, [LabelChanged(uid=label.uid, state=ReviewState.ACCEPTED) for label in together])
         self.desk.bills[None].looks += 1  # is there an object without a box?
         for thing in things:
             if thing.due and id(thing) not in has:
@@ -290,7 +290,7 @@ class Operator:
         self.desk.look(frame, label.box, bill, is_ahead=True)
         if not thing.due and iou_3d(label.box, thing.box) < self.desk.quality:
             bill.act("reject", KEY_S)
-            self.desk.store(frame, [LabelRejected(uid=label.uid)])
+            self.desk.store(frame, [LabelChanged(uid=label.uid, state=ReviewState.REJECTED)])
             return False
         name = label.label
         self._corrections.shown_class = thing.label
@@ -304,15 +304,16 @@ class Operator:
             # the new box stays selected
             for kind in ("accept", "next box", "reject"):
                 bill.act(kind, KEY_S)
-            self.desk.store(frame, [LabelRejected(uid=label.uid), self._created(thing, box)])
+            self.desk.store(frame, [LabelChanged(uid=label.uid, state=ReviewState.REJECTED), self._created(thing, box)])
         elif box is label.box and name == thing.label:
             if moves_on:
                 bill.act("accept", KEY_S)
-            self.desk.store(frame, [LabelAccepted(uid=label.uid)])
+            self.desk.store(frame, [LabelChanged(uid=label.uid, state=ReviewState.ACCEPTED)])
         else:
             # the page saves a correction by itself
-            record = BoxRecord.of(box)
-            self.desk.store(frame, [LabelEdited(uid=label.uid, label=thing.label, box=record, track_id=label.track_id)])
+            self.desk.store(
+                frame, [LabelChanged(uid=label.uid, state=ReviewState.EDITED, label=thing.label, box=BoxRecord.of(box))]
+            )
             has_moved = not was_right and self._help_later(frame, label, bill)
             if moves_on and not has_moved:
                 bill.act("accept", KEY_S)
@@ -442,7 +443,7 @@ class Operator:
             bill.looks += 1
             self._count(label, thing is not None)
             if thing is not None:
-                self.desk.store(frame, [LabelAccepted(uid=label.uid)])
+                self.desk.store(frame, [LabelChanged(uid=label.uid, state=ReviewState.ACCEPTED)])
                 continue
             is_last = place + 1 == len(verdicts)
             if is_last or (label.uid in self._made["follow"] and verdicts[place + 1][2] is None):

@@ -20,7 +20,7 @@ import numpy as np
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Effort, Project, RunShare, WriteContext, create_project, open_project
-from annotator.project.changes import LabelAccepted, LabelEdited, NewLabel, Payload, ProposalsReplaced
+from annotator.project.changes import LabelChanged, NewLabel, Payload, ProposalsReplaced
 from annotator.project.jobs import record_result
 from annotator.project.log import Writer
 from annotator.project.records import BoxRecord
@@ -97,8 +97,8 @@ def _statistics(folder: Path, frames: int) -> dict[str, float]:
                 record_result(connection, run, frame.id, 0.1, time_ns=writer.store.clock(), proposals=len(proposed))
                 replaced = ProposalsReplaced(proposed, new, run)
                 writer.to_frame_in(connection, frame.id, [replaced], WriteContext(0, "rcv", Source.AUTO))
-                decisions: list[Payload] = [LabelAccepted(uid=uid) for uid in uids[1:]]
-                decisions.append(LabelEdited(uid=uids[0], label=LABEL, box=BoxRecord.of(boxes[0])))
+                decisions: list[Payload] = [LabelChanged(uid=uid, state=ReviewState.ACCEPTED) for uid in uids[1:]]
+                decisions.append(LabelChanged(uid=uids[0], state=ReviewState.EDITED, box=BoxRecord.of(boxes[0])))
                 for revision, decision in enumerate(decisions, 1):
                     context = WriteContext(revision, "ann", effort=Effort(1, 2.0))
                     writer.to_frame_in(connection, frame.id, [decision], context)

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import asdict, dataclass
-from functools import partial
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -117,7 +116,7 @@ def fill(project: Project, recording: Recording, frames: int) -> None:
     stored = register_recording(project, recording)
     ids = {frame.key: frame.id for frame in project.frames.of([stored.id])}
     for fields in SCHEMA:
-        project.change_classes(partial(edit.put_attribute, attribute=Attribute.model_validate(fields)), "ann")
+        project.change_classes(edit.PutAttribute(attribute=Attribute.model_validate(fields)), "ann")
     for index in islice(_labelled(recording), frames):
         truths = load_truth(recording, index, recording.frame(index))
         if classes := {each.label for each in truths} - set(project.config.classes):

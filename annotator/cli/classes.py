@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from pydantic import ValidationError
@@ -17,8 +16,6 @@ from annotator.project.classes.attributes import (
     Attribute,
     AttributeKind,
     AttributeOf,
-    ClassStyle,
-    Relabelling,
     value_text,
 )
 from annotator.project.classes.counts import ClassCounts
@@ -46,7 +43,7 @@ def show(project: Project, /, *, as_json: AsJson = False) -> None:
 
 def add(project: Project, name: ClassName, /, *, colour: Colour = None, key: Key = None) -> None:
     """Add a class at the end. Detectors find it after the next training."""
-    _change(project, lambda config: edit.add_class(config, name, _style(ClassStyle(), colour, key)))
+    _change(project, edit.AddClass(name=name, style=_looks(colour, key)))
 
 
 def style(
@@ -63,13 +60,9 @@ def style(
     Args:
         unset: settings to remove.
     """
-    _require_one_of_both({"colour": colour, "key": key}, unset)
-
-    def styled(config: ProjectConfig) -> ClassEdit:
-        before = config.class_styles.get(name, ClassStyle()).model_copy(update=dict.fromkeys(unset))
-        return edit.style_class(config, name, _style(before, colour, key))
-
-    _change(project, styled)
+    given = _looks(colour, key)
+    _require_one_of_both(given, unset)
+    _change(project, edit.StyleClass(name=name, style={**given, **dict.fromkeys(unset)}))
 
 
 def order(project: Project, names: tuple[str, ...], /) -> None:
@@ -78,8 +71,7 @@ def order(project: Project, names: tuple[str, ...], /) -> None:
     Args:
         names: all classes of the project, with spaces or commas between them.
     """
-
-    _change(project, lambda config: edit.order_classes(config, names_in(names, config.classes)))
+    _change(project, edit.Order(names=names_in(names, project.config.classes)))
 
 
 def order_attributes(project: Project, names: tuple[str, ...], /) -> None:
@@ -88,11 +80,8 @@ def order_attributes(project: Project, names: tuple[str, ...], /) -> None:
     Args:
         names: all attributes of the project, with spaces or commas between them.
     """
-
-    def ordered(config: ProjectConfig) -> ClassEdit:
-        return edit.order_attributes(config, names_in(names, [each.name for each in config.attributes]))
-
-    _change(project, ordered, attributes=[each.name for each in project.config.attributes])
+    known = [each.name for each in project.config.attributes]
+    _change(project, edit.Order(do="order_attributes", names=names_in(names, known)), attributes=known)
 
 
 def rename(project: Project, old: str, new: str, /) -> None:
@@ -102,7 +91,7 @@ def rename(project: Project, old: str, new: str, /) -> None:
         old: present name.
         new: new name.
     """
-    _change(project, lambda config: edit.rename_class(config, old, new), old)
+    _change(project, edit.RenameClass(name=old, new=new), old)
 
 
 def merge(project: Project, old: tuple[str, ...], /, *, into: str) -> None:
@@ -112,9 +101,8 @@ def merge(project: Project, old: tuple[str, ...], /, *, into: str) -> None:
         old: names of the classes, with spaces or commas between them.
         into: class that gets the boxes.
     """
-
     names = names_in(old, project.config.classes)
-    _change(project, lambda config: edit.merge_classes(config, names, into), *names)
+    _change(project, edit.MergeClasses(names=names, into=into), *names)
 
 
 def remove(
@@ -136,12 +124,12 @@ def remove(
             raise ConfigError("--into keeps the boxes and --with-boxes removes them; give one of both")
         merge(project, (name,), into=into)
         return
-
-    def removed(config: ProjectConfig) -> ClassEdit:
-        made = edit.remove_class(config, name)
-        return made if with_boxes else replace(made, change=Relabelling())
-
-    _change(project, removed, *([name] if with_boxes else []), verb="removed with the class")
+    _change(
+        project,
+        edit.RemoveClass(name=name, with_boxes=with_boxes),
+        *([name] if with_boxes else []),
+        verb="removed with the class",
+    )
 
 
 def attribute(
@@ -205,7 +193,7 @@ def attribute(
             raise ConfigError(first_problem(error)) from error
         except ValueError as error:
             raise ConfigError(f"--default: {error}") from error
-        return edit.put_attribute(config, made, drop=drop)
+        return edit.PutAttribute(attribute=made, drop=drop)(config)
 
     _change(project, put, attributes=[name])
 
@@ -217,7 +205,7 @@ def remove_attribute(project: Project, name: str, /) -> None:
         name: name of the attribute.
     """
     number = sum(project.value_counts().get(name, {}).values())
-    _change(project, lambda config: edit.remove_attribute(config, name), attributes=())
+    _change(project, edit.RemoveAttribute(name=name), attributes=())
     print_line(f"removed {name} and {amount(number, 'value')} of it")
 
 
@@ -229,13 +217,8 @@ def rename_attribute(project: Project, old: str, new: str, /) -> None:
         new: new name; that of another choice merges both.
     """
     name, is_choice, choice = old.partition("=")
-
-    def renamed(config: ProjectConfig) -> ClassEdit:
-        if is_choice:
-            return edit.rename_choice(config, name, choice, new)
-        return edit.rename_attribute(config, old, new)
-
-    _change(project, renamed, attributes=[name if is_choice else new])
+    change = edit.RenameAttribute(name=name, choice=choice if is_choice else None, new=new)
+    _change(project, change, attributes=[name if is_choice else new])
 
 
 def _change(
@@ -262,18 +245,15 @@ def _followed(before: dict[str, ClassCounts], names: tuple[str, ...], verb: str)
         yield f"{verb}: {amount(count.labels, 'label')} and {amount(count.boxes_2d, '2D box')} of {name}{said}"
 
 
-def _require_one_of_both(given: Mapping[str, object], unset: Collection[str]) -> None:
+def _require_one_of_both(given: Mapping[Any, object], unset: Collection[str]) -> None:
     both = sorted(set(unset) & {field for field, each in given.items() if each is not None})
     if both:
         raise ConfigError(f"--{both[0]} sets what --unset removes; give one of both")
 
 
-def _style(before: ClassStyle, colour: str | None, key: str | None) -> ClassStyle:
-    given = {"colour": None if colour is None else f"#{colour.lstrip('#')}", "key": key}
-    try:
-        return ClassStyle.model_validate(before.model_dump() | {name: each for name, each in given.items() if each})
-    except ValidationError as error:
-        raise ConfigError(first_problem(error)) from error
+def _looks(colour: str | None, key: str | None) -> dict[UnsettableStyle, str | None]:
+    given: dict[UnsettableStyle, str | None] = {} if colour is None else {"colour": f"#{colour.lstrip('#')}"}
+    return given if key is None else {**given, "key": key}
 
 
 def _described(row: ClassRow) -> str:

@@ -11,7 +11,7 @@ from sqlalchemy import Connection, bindparam, select, update
 from annotator.project.adjusting import Adjustment, adjustment_in, adjustment_row, unit_up
 from annotator.project.audit.events import Effort
 from annotator.project.audit.writing import Receipt, Write, WriteContext
-from annotator.project.database.schema import adjustments, events, frames
+from annotator.project.database.schema import adjustments, events, frames, recordings
 from annotator.project.log import Writer, new_action, require_writable
 from annotator.project.recordings import ADJUSTED
 from annotator.types import Correction
@@ -60,11 +60,13 @@ class Adjustments:
     ) -> Receipt:
         """Sets the up direction: a vector in the camera frame (3,) of any length; None = as the files give it."""
         unit = None if up is None else unit_up(up)
-        return self._set(recording_id, author, lambda present: Adjustment(unit, present.correction), basis)
+        return self._set(recording_id, author, lambda present: Adjustment(unit, present.correction), basis, "set up")
 
     def correct(self, recording_id: int, correction: Correction, author: str, basis: Basis = NO_BASIS) -> Receipt:
         """Corrects the calibration. Boxes, views and a set up direction stay where they are in the clouds."""
-        return self._set(recording_id, author, lambda present: present.corrected(correction), basis)
+        return self._set(
+            recording_id, author, lambda present: present.corrected(correction), basis, "correct the calibration"
+        )
 
     def _set(
         self,
@@ -72,6 +74,7 @@ class Adjustments:
         author: str,
         change: Callable[[Adjustment], Adjustment],
         basis: Basis,
+        what: str,
     ) -> Receipt:
         with self.writer.store.write() as connection:
             present = _newest(connection, recording_id)
@@ -86,7 +89,8 @@ class Adjustments:
                 raise ProjectError(f"recording {recording_id} has no such frame; nothing was changed")
             before, _ = adjustment_in(connection.execute(ADJUSTED, {"recording": recording_id}).one())
             row = adjustment_row(recording_id, change(before))
-            context = WriteContext(frame.revision, author, effort=basis.effort)
+            name = connection.execute(select(recordings.c.name).where(recordings.c.id == recording_id)).scalar_one()
+            context = WriteContext(frame.revision, author, effort=basis.effort, effort_target=f"{what} of {name}")
             where = require_writable(connection, frame.id, context)
             write = Write(self.writer.store, connection, frame.id, where, context, new_action())
             write.put("adjustments", recording_id, row)

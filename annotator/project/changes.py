@@ -20,7 +20,6 @@ from annotator.types.label import MOST_TRACK, AttributeValue, Said
 ViewId = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Uid = Annotated[str, Field(min_length=1, max_length=64)]
 ClassName = Annotated[str, Field(min_length=1)]
-Values = dict[str, Value]
 ChangedValues = dict[AttributeName, Value | None]
 TrackId = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
 
@@ -141,84 +140,39 @@ REQUESTED = "label_proposed"
 """The kind of the event of a requested proposal."""
 
 
-class LabelTracked(_Checked):
-    """Changes the label's track, or removes it from its track; its box and review state stay."""
-
-    kind = "label_tracked"
-    uid: Uid
-    track_id: TrackId | None
-
-
-class LinkedLabel(Exact):
-    """Result of linking for one label.
+class LabelChanged(_Checked):
+    """Changes what is given of a label; the rest stays, its review state too.
 
     Attributes:
-        track_id: the new track id; None keeps the label's own, given by a person or a file.
-        box: smoothed over its track; None keeps the label's box, as required for a reviewed label.
-        attributes: values of its track that it lacks.
+        state: a decision. Accepted: unchanged. Edited: by a person; a box that is the present one but for its last
+            digits stays bit for bit. Rejected: the object does not exist; the label stays, so that later passes do not
+            propose it again.
+        track_id: None removes the label from its track; its values become those of its new track.
+        image_box: the box on the camera image that the label is made from.
+        suggestion: the detector that suggested boxes for the new 3D box, if the operator accepted any. Without one, the
+            operator made the 3D box, and an earlier suggestion counts as corrected.
+        box_kind: what the new 3D box encloses.
+        attributes: values to set; None removes one.
     """
 
+    kind = "label_changed"
     uid: Uid
-    track_id: TrackId | None = None
+    state: ReviewState | None = None
+    label: ClassName | None = None
     box: BoxRecord | None = None
-    attributes: Values = Field(default_factory=dict)
-
-
-class TracksLinked(_Checked):
-    """Result of linking over the recording: track ids of labels of one frame, and smoothed boxes of open proposals."""
-
-    kind = "tracks_linked"
-    labels: tuple[LinkedLabel, ...]
-
-
-class LabelAccepted(_Checked):
-    """Accepts the label unchanged."""
-
-    kind = "label_accepted"
-    uid: Uid
-
-
-class LabelEdited(_Checked):
-    """Changes the label's class, box and track.
-
-    Attributes:
-        image_box: the new box on the camera image that the label is made from; None = unchanged.
-        suggestion: the detector that suggested boxes for the new 3D box, if the operator accepted any. None = the
-            operator made the 3D box, and an earlier suggestion counts as corrected if the box is another one.
-        box_kind: what the new 3D box encloses; None = as before.
-    """
-
-    kind = "label_edited"
-    uid: Uid
-    label: ClassName
-    box: BoxRecord
     track_id: TrackId | None = None
     image_box: Box2D | None = None
     suggestion: Suggestion | None = None
     box_kind: BoxKind | None = None
+    attributes: ChangedValues = Field(default_factory=dict)
 
 
-class LabelMoved(_Checked):
-    """Gives the label another box, and keeps all else that is known of it, its review state too."""
+class TracksLinked(_Checked):
+    """Result of linking over the recording, of the labels of one frame: new track ids, smoothed boxes of open
+    proposals, and values of their tracks that they lack. Their authors stay."""
 
-    kind = "label_moved"
-    uid: Uid
-    box: BoxRecord
-
-
-class LabelAttributesSet(_Checked):
-    """Sets values of the label's attributes; None removes one. Its box and review state stay."""
-
-    kind = "label_attributes_set"
-    uid: Uid
-    attributes: ChangedValues
-
-
-class LabelRejected(_Checked):
-    """Rejects the label: the object does not exist. The label stays, so that later passes do not propose it again."""
-
-    kind = "label_rejected"
-    uid: Uid
+    kind = "tracks_linked"
+    labels: tuple[LabelChanged, ...]
 
 
 class LabelDeleted(_Checked):
@@ -229,22 +183,14 @@ class LabelDeleted(_Checked):
 
 
 class FrameFinalised(_Checked):
-    """Finalises the frame: automatic passes may not change it."""
+    """Finalises the frame, so that automatic passes may not change it, or reopens it."""
 
     kind = "frame_finalised"
-
-
-class FrameReopened(_Checked):
-    """Reopens a finalised frame."""
-
-    kind = "frame_reopened"
+    finalised: bool = True
 
 
 class FrameAttributesSet(_Checked):
-    """Replaces all values of the frame's attributes."""
+    """Sets values of the frame's attributes; None removes one."""
 
     kind = "frame_attributes_set"
-    attributes: Values
-
-
-LabelChange = LabelAccepted | LabelEdited | LabelRejected | LabelDeleted
+    attributes: ChangedValues

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, bindparam, func, select
+from sqlalchemy import bindparam, func, select
 
 from annotator.project.audit.writing import Receipt, WriteContext
-from annotator.project.changes import FrameAttributesSet, FrameFinalised, FrameReopened
+from annotator.project.changes import FrameAttributesSet, FrameFinalised
 from annotator.project.database.schema import AnyRow, frames
 from annotator.project.log import Writer
 from annotator.project.recordings import KEPT
@@ -86,17 +86,15 @@ class Frames:
 
     def attributes_of(self, frame_id: int) -> dict[str, AttributeValue]:
         """Values of the attributes of one frame."""
+        query = select(frames.c.attributes).where(frames.c.id == frame_id, KEPT)
         with self.writer.store.read() as connection:
-            return frame_values(connection, frame_id)
+            return values_of(connection.execute(query).scalar())
 
     def set_attributes(
         self, frame_id: int, changed: Mapping[str, AttributeValue | None], context: WriteContext
     ) -> Receipt:
         """Sets values of a frame's attributes; None removes one."""
-        with self.writer.store.write() as connection:
-            both = frame_values(connection, frame_id) | dict(changed)
-            values = {name: value for name, value in both.items() if value is not None}
-            return self.writer.to_frame_in(connection, frame_id, (FrameAttributesSet(attributes=values),), context)
+        return self.writer.append(frame_id, (FrameAttributesSet(attributes=dict(changed)),), context)
 
     def finalise(self, frame_id: int, context: WriteContext) -> Receipt:
         """Protects a frame from automatic passes."""
@@ -104,7 +102,7 @@ class Frames:
 
     def reopen(self, frame_id: int, context: WriteContext) -> Receipt:
         """Reopens a finalised frame."""
-        return self.writer.append(frame_id, (FrameReopened(),), context)
+        return self.writer.append(frame_id, (FrameFinalised(finalised=False),), context)
 
 
 # Those of a `StoredFrame`, in its order.
@@ -112,12 +110,6 @@ _OF_FRAME = ("id", "recording_id", "key", "position", "revision", "finalised", "
 FRAME_COLUMNS = tuple(frames.c[name] for name in _OF_FRAME)
 # Built once, since building these frequent queries takes longer than running them.
 _FRAME = select(frames).where(frames.c.id == bindparam("frame"), KEPT)
-_VALUES = select(frames.c.attributes).where(frames.c.id == bindparam("frame"), KEPT)
-
-
-def frame_values(connection: Connection, frame_id: int) -> dict[str, AttributeValue]:
-    """The values of a frame."""
-    return values_of(connection.execute(_VALUES, {"frame": frame_id}).scalar())
 
 
 def frame_of(row: AnyRow) -> StoredFrame:

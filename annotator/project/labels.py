@@ -13,18 +13,15 @@ from sqlalchemy import Connection, Select, bindparam, func, select
 
 from annotator.project.audit.writing import Receipt, WriteContext
 from annotator.project.changes import (
-    LabelAccepted,
-    LabelAttributesSet,
+    LabelChanged,
     LabelDeleted,
-    LabelEdited,
-    LabelRejected,
     NewLabel,
     Origin,
 )
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.classes.values import is_kept, labels_of_tracks
 from annotator.project.database.schema import ALL_LABELS, LABELS_OF_MOMENT, AnyRow, frames, labels
-from annotator.project.log import FramePart, Writer
+from annotator.project.log import Writer, new_action
 from annotator.project.recordings import of_rig
 from annotator.project.records import OWN, BoxRecord, SaidRecord, storable, suggestion_of
 from annotator.project.rows import Names, Place, Terms, box_2d_of, box_of, said_in, values_of
@@ -183,7 +180,7 @@ class Labels:
 
     def accept(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
         """Accepts a label unchanged."""
-        return self.writer.append(frame_id, (LabelAccepted(uid=uid),), context)
+        return self.writer.append(frame_id, (LabelChanged(uid=uid, state=ReviewState.ACCEPTED),), context)
 
     def edit(
         self,
@@ -197,25 +194,26 @@ class Labels:
     ) -> Receipt:
         """Changes a label's class, box and track."""
         with storable(f"label {uid}"):
-            payload = LabelEdited(uid=uid, label=label, box=BoxRecord.of(box), track_id=track_id)
-        return self.writer.append(frame_id, (payload,), context)
+            record = BoxRecord.of(box)
+        return self.writer.append(
+            frame_id,
+            [LabelChanged(uid=uid, state=ReviewState.EDITED, label=label, box=record, track_id=track_id)],
+            context,
+        )
 
     def set_attributes(
         self, frame_id: int, uid: str, changed: Mapping[str, AttributeValue | None], context: WriteContext
-    ) -> tuple[tuple[int, Receipt], ...]:
+    ) -> None:
         """Sets values of a label's attributes (None removes one); those of its track in all labels of the track.
 
         A proposal of which a person has set values is not replaced by automatic passes (`kept`).
-
-        Returns:
-            The changed frames with their receipts, that of the label first.
         """
         # tells the label from those of its track that follow
         context = replace(context, effort_target=context.effort_target or uid)
         with self.writer.store.write() as connection:
             of_tracks = [each for each in Terms(connection).attributes if each.of is AttributeOf.TRACK]
             along = [each for each in of_tracks if each.name in changed]
-            payloads = {frame_id: [LabelAttributesSet(uid=uid, attributes=dict(changed))]}
+            payloads = {frame_id: [LabelChanged(uid=uid, attributes=dict(changed))]}
             revisions = {frame_id: context.revision}
             track = connection.execute(select(labels.c.track_id).where(labels.c.uid == uid)).scalar()
             if along and track is not None:
@@ -224,13 +222,13 @@ class Labels:
                     same_values = {each.name: changed[each.name] for each in along if each.is_of(row.label)}
                     if row.uid != uid and same_values:
                         revisions.setdefault(row.frame_id, row.revision)
-                        same = LabelAttributesSet(uid=row.uid, attributes=same_values)
+                        same = LabelChanged(uid=row.uid, attributes=same_values)
                         payloads.setdefault(row.frame_id, []).append(same)
-            parts = []
+            action = new_action()
             for id, of_frame in payloads.items():
-                parts.append(FramePart(id, of_frame, replace(context, revision=revisions[id])))
+                context = replace(context, revision=revisions[id])
+                self.writer.to_frame_in(connection, id, of_frame, context, action)
                 context = replace(context, effort=None)  # counted once, on the label's frame
-            return tuple(zip(payloads, self.writer.to_frames_in(connection, parts), strict=True))
 
     def kept(self, frame_id: int) -> frozenset[str]:
         """Uids of the moment's proposals that no automatic pass replaces, as `classes.values.is_kept`."""
@@ -243,7 +241,7 @@ class Labels:
 
     def reject(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
         """Rejects a label: the object does not exist, and is not proposed again."""
-        return self.writer.append(frame_id, (LabelRejected(uid=uid),), context)
+        return self.writer.append(frame_id, (LabelChanged(uid=uid, state=ReviewState.REJECTED),), context)
 
     def delete(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
         """Removes a label; the object may be proposed again."""

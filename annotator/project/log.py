@@ -105,14 +105,10 @@ class Writer:
                 if (track_id := connection.execute(used).scalar()) is not None:
                     taken = f"track {track_id} has been given to another object in the meantime; try again"
                     raise TrackTakenError(taken, track_id)
-            return self.to_frames_in(connection, parts, action)
-
-    def to_frames_in(
-        self, connection: Connection, parts: Sequence[FramePart], action: str | None = None
-    ) -> tuple[Receipt, ...]:
-        """As `append_to_frames`, within the caller's write transaction."""
-        action = action or new_action()
-        return tuple(self.to_frame_in(connection, part.frame_id, part.payloads, part.context, action) for part in parts)
+            action = action or new_action()
+            return tuple(
+                self.to_frame_in(connection, each.frame_id, each.payloads, each.context, action) for each in parts
+            )
 
     def to_view(self, payload: ViewBoxesSet, context: WriteContext) -> Receipt:
         """Sets boxes on a pseudo-view that belongs to no frame of the project."""

@@ -18,7 +18,6 @@ from annotator.project.backup.archive import MODELS_FOLDER, VIEWS_FOLDER, requir
 from annotator.project.backup.make import back_up_before_upgrade
 from annotator.project.backup.snapshot import database_problems, new_project
 from annotator.project.boxes import Boxes, Views
-from annotator.project.classes.attributes import Relabelling
 from annotator.project.classes.changing import MadeChange, made_changes, present_names, set_up_classes
 from annotator.project.classes.changing import change_classes as change_rows
 from annotator.project.classes.counts import ClassCounts, class_counts, value_counts
@@ -44,7 +43,7 @@ from annotator.project.proposals import Proposals
 from annotator.project.recordings import Recordings
 from annotator.project.rows import Terms
 from annotator.project.statistics import Statistics, read_statistics
-from annotator.types.errors import RESTORE, ProjectError
+from annotator.types.errors import RESTORE, ConfigError, ProjectError
 from annotator.types.messages import first_problem
 
 AUTHOR = "annotator"
@@ -120,8 +119,11 @@ class Project:
         # the lock prevents new boxes of a removed class
         with self.store.write() as connection:
             old = self._config(connection)
-            made = edit(old)
-            if made.config != old or made.change != Relabelling():
+            try:
+                made = edit(old)
+            except ValidationError as error:
+                raise ConfigError(first_problem(error)) from error
+            if made.config != old or made.values:
                 change_rows(self.store, connection, made, author)
             return made.config
 

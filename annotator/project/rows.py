@@ -125,10 +125,6 @@ class Terms:
         """A 3D box, camera frame."""
         return box_of(content, self.place(frame_id))
 
-    def record(self, content: str, frame_id: int | None) -> BoxRecord:
-        """A 3D box, camera frame, bit for bit if the boxes are stored in it."""
-        return record_of(content, self.place(frame_id))
-
     def said(self, content: str, frame_id: int | None) -> SaidRecord:
         """What the source of a box says."""
         return said_of(content, self.key, self.place(frame_id))

@@ -36,10 +36,8 @@ from annotator.image_bytes import encoded_image
 from annotator.project import Project, ViewBoxes, ViewGeometry
 from annotator.project.changes import (
     ImageBoxesSet,
-    LabelAccepted,
+    LabelChanged,
     LabelDeleted,
-    LabelEdited,
-    LabelRejected,
     Payload,
     ViewBoxesRemoved,
     ViewBoxesSet,
@@ -273,9 +271,9 @@ def image_follower(page: FramePage, payloads: Sequence[Payload]) -> ImageBoxesSe
     boxes = list(page.image_boxes.boxes)
     for payload in payloads:
         match payload:
-            case LabelDeleted(uid=uid) | LabelRejected(uid=uid) if uid in drawn:
+            case LabelDeleted(uid=uid) | LabelChanged(uid=uid, state=ReviewState.REJECTED) if uid in drawn:
                 boxes = [box for box in boxes if box != drawn[uid].image_box]
-            case LabelAccepted(uid=uid) | LabelEdited(uid=uid) if uid in drawn:
+            case LabelChanged(uid=uid, state=state) if uid in drawn and state is not None:
                 box = drawn[uid].image_box
                 if box is not None and box not in boxes and drawn[uid].label.state is ReviewState.REJECTED:
                     boxes.append(box)

@@ -15,14 +15,7 @@ import numpy as np
 from sqlalchemy import Connection
 
 from annotator.project import Effort, Origin, Project, WriteContext, create_project
-from annotator.project.changes import (
-    LabelAccepted,
-    LabelEdited,
-    LabelRejected,
-    NewLabel,
-    Payload,
-    ProposalsReplaced,
-)
+from annotator.project.changes import LabelChanged, NewLabel, Payload, ProposalsReplaced
 from annotator.project.jobs import record_result
 from annotator.project.log import Writer
 from annotator.project.records import BoxRecord
@@ -181,7 +174,7 @@ def _decision(item: _Object) -> tuple[Payload, int, float]:
     if item.uid is None:
         return NewLabel(item.label, item.truth, origin=Origin.DRAWN), 6, 20.0
     if item.is_wrong:
-        return LabelRejected(uid=item.uid), 1, 2.0
+        return LabelChanged(uid=item.uid, state=ReviewState.REJECTED), 1, 2.0
     if item.is_good:
-        return LabelAccepted(uid=item.uid), 1, 2.0
-    return LabelEdited(uid=item.uid, label=item.label, box=BoxRecord.of(item.truth)), 3, 9.0
+        return LabelChanged(uid=item.uid, state=ReviewState.ACCEPTED), 1, 2.0
+    return LabelChanged(state=ReviewState.EDITED, uid=item.uid, label=item.label, box=BoxRecord.of(item.truth)), 3, 9.0

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from sqlalchemy import text
 
 from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext, open_project
-from annotator.project.changes import LabelAccepted, LabelDeleted, LabelTracked
+from annotator.project.changes import LabelChanged, LabelDeleted
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.database import migrations
@@ -104,14 +104,14 @@ def sorted_state(project: Project) -> dict[str, list[tuple[object, ...]]]:
 
 
 CLASS_EDITS = (
-    lambda config, b: edit.rename_class(config, config.classes[b % len(config.classes)], "hand" if b else "palm"),
-    lambda config, b: edit.merge_classes(config, config.classes[1:2], config.classes[0]),
-    lambda config, b: edit.add_class(config, ("hand", "person", "palm")[b % 3]),
+    lambda config, b: edit.RenameClass(name=config.classes[b % len(config.classes)], new="hand" if b else "palm"),
+    lambda config, b: edit.MergeClasses(names=config.classes[1:2], into=config.classes[0]),
+    lambda config, b: edit.AddClass(name=("hand", "person", "palm")[b % 3]),
     lambda config, b: (
-        lambda: edit.rename_attribute(config, "pose", "posture"),
-        lambda: edit.remove_class(config, config.classes[-1]),
-        lambda: edit.remove_attribute(config, "side"),
-        lambda: edit.put_attribute(config, ATTRIBUTES[0], drop=True),
+        lambda: edit.RenameAttribute(name="pose", new="posture"),
+        lambda: edit.RemoveClass(name=config.classes[-1], with_boxes=True),
+        lambda: edit.RemoveAttribute(name="side"),
+        lambda: edit.PutAttribute(attribute=ATTRIBUTES[0], drop=True),
     )[b](),
 )
 
@@ -174,7 +174,7 @@ def actions(
         "image": lambda: project.boxes.set_on_image(frame.id, some_boxes(a), list(BoxKind)[b % 2], change),
         "view": lambda: project.boxes.set_on_view(view, some_boxes(a), BoxKind.BOX, change, frame_id=frame.id),
         "lock": lambda: (project.frames.reopen if frame.finalised else project.frames.finalise)(frame.id, change),
-        "track": lambda: project.log.append(frame.id, [LabelTracked(uid=uid, track_id=b or None)], change),
+        "track": lambda: project.log.append(frame.id, [LabelChanged(uid=uid, track_id=b or None)], change),
         "import": lambda: project.proposals.bring(
             "their detector", {frame.id: [NewLabel("hand", box_at(2.0 * n), 0.9) for n in range(a)]}, who, new_action()
         ),
@@ -189,11 +189,12 @@ def actions(
             frame.id, uid, {"severity": a or None, "side": f"side {b}"}, change
         ),
         "frame values": lambda: project.frames.set_attributes(frame.id, {"weather": float(a) or None}, change),
-        "classes": lambda: project.change_classes(lambda config: CLASS_EDITS[a](config, b), who),
+        "classes": lambda: project.change_classes(lambda config: CLASS_EDITS[a](config, b)(config), who),
         "bulk": lambda: project.log.append(
             # a label that is deleted twice refuses all of it
             frame.id,
-            [LabelAccepted(uid=label.uid) for label in labels] + [LabelDeleted(uid=uid)] * (1 + b // 3),
+            [LabelChanged(uid=label.uid, state=ReviewState.ACCEPTED) for label in labels]
+            + [LabelDeleted(uid=uid)] * (1 + b // 3),
             change,
         ),
     }
@@ -209,7 +210,7 @@ def _carried_over(frame: StoredFrame, track_id: int, who: str, behind: int) -> F
 def give_attributes(project: Project) -> None:
     """Gives the project the attributes `ATTRIBUTES`."""
     for attribute in ATTRIBUTES:
-        project.change_classes(lambda config, attribute=attribute: edit.put_attribute(config, attribute), "ann")
+        project.change_classes(edit.PutAttribute(attribute=attribute), "ann")
 
 
 def stored_state(project: Path) -> dict[str, list[tuple[object, ...]]]:

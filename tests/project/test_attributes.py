@@ -9,9 +9,9 @@ from pydantic import ValidationError
 from store_samples import box_at, by_hand, by_machine, give_attributes, proposal_at, revised, some_boxes
 
 from annotator.project import NewLabel, Project, StoredRecording
-from annotator.project.changes import LabelTracked
+from annotator.project.changes import LabelChanged
 from annotator.project.classes import edit
-from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle
+from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.types import Box2D, BoxKind, ReviewState
 from annotator.types.errors import ConfigError, HistoryError, NotFoundError, ProjectError, StaleRevisionError
 
@@ -119,13 +119,12 @@ def test_values_of_a_track_are_set_in_its_labels_whose_class_has_them_as_one_act
     project: Project, recording: StoredRecording
 ) -> None:
     helmet = Attribute(name="helmet", kind=AttributeKind.BOOLEAN, of=AttributeOf.TRACK, classes=("person",))
-    project.change_classes(lambda config: edit.put_attribute(config, helmet), "ann")
+    project.change_classes(edit.PutAttribute(attribute=helmet), "ann")
     ids = [frame.id for frame in project.frames.of([recording.id])[:3]]
     uids = [create(project, id, label, track_id=7) for id, label in zip(ids, ("hand", "person", "hand"), strict=True)]
     other = create(project, ids[2], track_id=8)
     values = {"side": "left", "severity": 2, "helmet": True}
-    changed = project.labels.set_attributes(ids[1], uids[1], values, revised(project, ids[1]))
-    assert [id for id, _ in changed] == [ids[1], ids[0], ids[2]]
+    project.labels.set_attributes(ids[1], uids[1], values, revised(project, ids[1]))
     unchanged = {"severity": 0}
     assert [of(project, uid) for uid in (*uids, other)] == [
         unchanged | {"side": "left"},
@@ -135,7 +134,7 @@ def test_values_of_a_track_are_set_in_its_labels_whose_class_has_them_as_one_act
     ]
     assert project.history.next("ann")[0] == "set attributes of 3 labels (frames 1 to 2)"
     # a label that enters the track takes its values, one that leaves it keeps them
-    project.log.append(ids[2], [LabelTracked(uid=uids[2], track_id=9)], revised(project, ids[2]))
+    project.log.append(ids[2], [LabelChanged(uid=uids[2], track_id=9)], revised(project, ids[2]))
     project.labels.edit(ids[2], other, revised(project, ids[2]), label="hand", box=box_at(1.0), track_id=7)
     assert (of(project, uids[2])["side"], of(project, other)["side"]) == ("left", "left")
     with pytest.raises(StaleRevisionError):
@@ -162,11 +161,11 @@ def test_values_of_frames_are_set(project: Project, frame: int) -> None:
 
 
 def test_a_renamed_class_keeps_all_that_is_stored(project: Project, frame: int) -> None:
-    project.change_classes(lambda config: edit.style_class(config, "hand", ClassStyle(key="h")), "ann")
+    project.change_classes(edit.StyleClass(name="hand", style={"key": "h"}), "ann")
     uid = create(project, frame, attributes={"side": "left"})
     project.boxes.set_on_image(frame, some_boxes(2), BoxKind.BOX, revised(project, frame))
     before = project.frames.get(frame).revision
-    config = project.change_classes(lambda config: edit.rename_class(config, "hand", "palm"), "bea")
+    config = project.change_classes(edit.RenameClass(name="hand", new="palm"), "bea")
     assert (config.classes, config.class_styles["palm"].key) == (("palm", "person"), "h")
     assert named(project, uid) == "palm"
     assert of(project, uid) == {"severity": 0, "side": "left"}
@@ -181,11 +180,11 @@ def test_a_renamed_class_keeps_all_that_is_stored(project: Project, frame: int) 
 
 def test_a_merge_is_undone_and_what_was_drawn_since_keeps_its_class(project: Project, frame: int) -> None:
     uid = create(project, frame, "person", attributes={"pose": "lying"})
-    project.change_classes(lambda config: edit.merge_classes(config, ["person"], "hand"), "ann")
+    project.change_classes(edit.MergeClasses(names=["person"], into="hand"), "ann")
     assert project.config.classes == ("hand",)
     # the attribute followed, too
     assert (named(project, uid), of(project, uid)["pose"]) == ("hand", "lying")
-    project.change_classes(lambda config: edit.rename_class(config, "hand", "palm"), "bea")
+    project.change_classes(edit.RenameClass(name="hand", new="palm"), "bea")
     with pytest.raises(HistoryError, match=r"merge person into the class hand: .* the class palm was changed by bea"):
         project.history.undo("ann")
     project.history.undo("bea")
@@ -195,7 +194,7 @@ def test_a_merge_is_undone_and_what_was_drawn_since_keeps_its_class(project: Pro
     assert project.history.undo("ann").words == "merge person into the class hand"
     assert (project.config.classes, named(project, uid), named(project, new)) == (("hand", "person"), "person", "hand")
     with pytest.raises(NotFoundError, match="no class 'car'"):
-        project.change_classes(lambda config: edit.merge_classes(config, ["car"], "person"), "ann")
+        project.change_classes(edit.MergeClasses(names=["car"], into="person"), "ann")
 
 
 def test_a_removed_class_comes_back_with_its_boxes(project: Project, frame: int) -> None:
@@ -203,11 +202,11 @@ def test_a_removed_class_comes_back_with_its_boxes(project: Project, frame: int)
     project.boxes.set_on_image(frame, some_boxes(1), BoxKind.BOX, revised(project, frame))
     with pytest.raises(ConfigError, match="only person has the attribute pose"):
         project.configure(classes=["hand"])
-    project.change_classes(lambda config: edit.remove_attribute(config, "pose"), "bea")
+    project.change_classes(edit.RemoveAttribute(name="pose"), "bea")
     with pytest.raises(ProjectError, match="'person' cannot be removed while boxes use it"):
         project.configure(classes=["hand"])
     assert {each.uid for each in project.labels.of_frame(frame)} == {kept, removed}
-    project.change_classes(lambda config: edit.remove_class(config, "person"), "bea")
+    project.change_classes(edit.RemoveClass(name="person", with_boxes=True), "bea")
     assert [each.uid for each in project.labels.of_frame(frame)] == [kept]
     project.history.undo("ann")
     with pytest.raises(HistoryError, match="the person label was changed by bea since"):
@@ -225,7 +224,7 @@ def test_a_removed_class_comes_back_with_its_boxes(project: Project, frame: int)
 
 
 def test_what_others_use_is_not_undone(project: Project, frame: int) -> None:
-    project.change_classes(lambda config: edit.add_class(config, "car"), "ann")
+    project.change_classes(edit.AddClass(name="car"), "ann")
     project.labels.create(frame, [NewLabel("car", box_at())], by_hand(0, "bea"))
     with pytest.raises(HistoryError, match="add the class car: cannot be undone because 'car' cannot be removed"):
         project.history.undo("ann")
@@ -234,7 +233,7 @@ def test_what_others_use_is_not_undone(project: Project, frame: int) -> None:
     with pytest.raises(HistoryError, match="the class 'car' was removed"):
         project.history.redo("bea")
     grip = Attribute(name="grip", kind=AttributeKind.INTEGER)
-    project.change_classes(lambda config: edit.put_attribute(config, grip), "ann")
+    project.change_classes(edit.PutAttribute(attribute=grip), "ann")
     new = NewLabel("hand", box_at(), attributes={"grip": 1})
     project.labels.create(frame, [new], by_hand(revision(project, frame), "bea"))
     with pytest.raises(HistoryError, match=r"add the attribute grip: .* 1 stored value of grip would not fit"):
@@ -243,14 +242,14 @@ def test_what_others_use_is_not_undone(project: Project, frame: int) -> None:
 
 def test_attributes_are_renamed_narrowed_and_removed(project: Project, frame: int) -> None:
     uid = create(project, frame, "person", attributes={"pose": "lying", "severity": 3})
-    project.change_classes(lambda config: edit.rename_choice(config, "pose", "lying", "prone"), "ann")
-    project.change_classes(lambda config: edit.rename_attribute(config, "pose", "posture"), "ann")
+    project.change_classes(edit.RenameAttribute(name="pose", choice="lying", new="prone"), "ann")
+    project.change_classes(edit.RenameAttribute(name="pose", new="posture"), "ann")
     assert of(project, uid) == {"posture": "prone", "severity": 3}
     narrow = Attribute(name="severity", kind=AttributeKind.INTEGER, minimum=0.0, maximum=2.0)
     with pytest.raises(ProjectError, match="1 stored value of severity would not fit, such as 3"):
-        project.change_classes(lambda config: edit.put_attribute(config, narrow), "ann")
+        project.change_classes(edit.PutAttribute(attribute=narrow), "ann")
     assert of(project, uid)["severity"] == 3
-    project.change_classes(lambda config: edit.put_attribute(config, narrow, drop=True), "ann")
+    project.change_classes(edit.PutAttribute(attribute=narrow, drop=True), "ann")
     assert of(project, uid) == {"posture": "prone"}
     for values in ({"posture": "prone", "severity": 3}, {"pose": "prone", "severity": 3}):
         project.history.undo("ann")
@@ -258,19 +257,19 @@ def test_attributes_are_renamed_narrowed_and_removed(project: Project, frame: in
     for _ in range(2):
         project.history.redo("ann")
     assert of(project, uid) == {"posture": "prone"}
-    project.change_classes(lambda config: edit.remove_attribute(config, "posture"), "ann")
+    project.change_classes(edit.RemoveAttribute(name="posture"), "ann")
     assert of(project, uid) == {}
     default = narrow.model_copy(update={"name": "grip", "default": 1})
-    project.change_classes(lambda config: edit.put_attribute(config, default), "ann")
+    project.change_classes(edit.PutAttribute(attribute=default), "ann")
     assert of(project, uid) == {"grip": 1}
 
 
 def test_values_that_exports_measure_have_no_default(project: Project, frame: int) -> None:
     truncation = Attribute(name="truncation", kind=AttributeKind.NUMBER, minimum=0.0, maximum=1.0, default=0.0)
     with pytest.raises(ConfigError, match="exports measure it for boxes without a value"):
-        project.change_classes(lambda config: edit.put_attribute(config, truncation), "ann")
+        project.change_classes(edit.PutAttribute(attribute=truncation), "ann")
     without = truncation.model_copy(update={"default": None})
-    project.change_classes(lambda config: edit.put_attribute(config, without), "ann")
+    project.change_classes(edit.PutAttribute(attribute=without), "ann")
     assert of(project, create(project, frame)) == {"severity": 0}
 
 
@@ -334,7 +333,7 @@ def test_undo_passes_over_what_would_restore_a_box_of_a_removed_class(
     create(project, 2, "person")
     uid = create(project, 1, "hand")
     project.labels.edit(1, uid, revised(project, 1), label="person", box=box_at(1.0))
-    project.change_classes(lambda config: edit.remove_class(config, "hand"), "bea")
+    project.change_classes(edit.RemoveClass(name="hand", with_boxes=True), "bea")
     with pytest.raises(HistoryError, match="the class 'hand' was removed"):
         project.history.undo("ann")
     assert project.history.undo("ann", skip=True).frame_id == 2
@@ -345,6 +344,6 @@ def test_undo_brings_a_label_back_without_an_image_box_of_a_removed_class(projec
     drawn = NewLabel("person", box_at(), image_box=Box2D("hand", 0.0, 0.0, 9.0, 9.0))
     (uid,) = project.labels.create(frame, [drawn], by_hand()).uids
     project.labels.delete(frame, uid, by_hand(1))
-    project.change_classes(lambda config: edit.remove_class(config, "hand"), "bea")
+    project.change_classes(edit.RemoveClass(name="hand", with_boxes=True), "bea")
     project.history.undo("ann")
     assert project.labels.get(uid).image_box is None

@@ -244,7 +244,7 @@ def cars(tmp_path: Path) -> Path:
 
 
 def to_lorry(project: Project) -> None:
-    project.change_classes(lambda config: edit.rename_class(config, "car", "lorry"), "ann")
+    project.change_classes(edit.RenameClass(name="car", new="lorry"), "ann")
 
 
 def test_a_rename_keeps_what_was_changed_just_before(cars: Path, monkeypatch) -> None:

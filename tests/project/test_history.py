@@ -11,7 +11,7 @@ from store_samples import box_at, by_hand, by_machine, proposal_at, revised
 
 from annotator.project import NewLabel, Project
 from annotator.project.backup.verify import verify
-from annotator.project.changes import LabelDeleted, LabelTracked
+from annotator.project.changes import LabelChanged, LabelDeleted
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeOf
 from annotator.project.log import new_action
@@ -28,7 +28,7 @@ def test_the_next_undo_and_redo_are_described(project: Project, frame: int) -> N
     project.log.append(frame, [LabelDeleted(uid=uid) for uid in uids], by_hand(2))
     assert project.history.next("ann") == ("delete 2 labels (frame 2)", None)
     done = project.history.undo("ann")
-    assert (done.words, done.frame_id, done.receipt.revision) == ("delete 2 labels (frame 2)", frame, 5)
+    assert (done.words, done.frame_id, project.frames.get(frame).revision) == ("delete 2 labels (frame 2)", frame, 5)
     assert project.history.next("ann") == ("accept hand (frame 2)", "delete 2 labels (frame 2)")
     project.frames.finalise(frame, by_hand(5))
     assert project.history.next("ann") == ("finalise frame 2", None), "a new action empties the redo stack"
@@ -76,7 +76,7 @@ def test_an_action_without_effect_is_skipped_and_one_of_several_kinds_named_afte
     project: Project, frame: int
 ) -> None:
     uids = project.labels.create(frame, [NewLabel("hand", box_at(x)) for x in (0.0, 5.0)], by_hand()).uids
-    project.log.append(frame, [LabelDeleted(uid=uids[0]), LabelTracked(uid=uids[1], track_id=1)], by_hand(2))
+    project.log.append(frame, [LabelDeleted(uid=uids[0]), LabelChanged(uid=uids[1], track_id=1)], by_hand(2))
     new = NewLabel("hand", box_at(), uid="u")
     project.log.append(frame, [new, LabelDeleted(uid="u")], by_hand(4))
     assert project.history.undo("ann").words == "delete hand (frame 2)"
@@ -88,7 +88,7 @@ BEFORE, VALUE, AFTER = {"kind": "boolean"}, True, {"kind": "integer"}
 
 def put(project: Project, of: str, definition: dict[str, Any], name: str = "state", *, drop: bool = False) -> None:
     attribute = Attribute(name=name, of=AttributeOf(of), **definition)
-    project.change_classes(lambda config: edit.put_attribute(config, attribute, drop=drop), "bea")
+    project.change_classes(edit.PutAttribute(attribute=attribute, drop=drop), "bea")
 
 
 def set_on_frame(project: Project, frame: int, **values: Any) -> None:

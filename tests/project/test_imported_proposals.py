@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -16,7 +15,7 @@ from store_samples import box_at, by_hand, by_machine, proposal_at, revised
 
 from annotator.project import NewLabel, Project, ProjectConfig, StoredRecording, new_action
 from annotator.project.backup.verify import verify
-from annotator.project.changes import LabelEdited
+from annotator.project.changes import LabelChanged
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.classes.counts import ClassCounts
@@ -39,7 +38,7 @@ def bring(project: Project, frame: int, source: str, *boxes: NewLabel) -> tuple[
 
 def put(project: Project, *attributes: Attribute) -> None:
     for each in attributes:
-        project.change_classes(partial(edit.put_attribute, attribute=each), "ann")
+        project.change_classes(edit.PutAttribute(attribute=each), "ann")
 
 
 def box(x: float, score: float | None = None, label: str = "hand", track_id: int | None = None) -> NewLabel:
@@ -182,7 +181,7 @@ def test_an_import_over_several_frames_is_undone_and_redone_as_one_step(project:
     assert [who for who, *_ in after].count("two") == 5
     assert project.history.next("Ada")[0].startswith("import boxes of two (frames ")
     # a renamed class is no obstacle, a review by somebody else is one
-    project.change_classes(lambda config: edit.rename_class(config, "hand", "paw"), "Eve")
+    project.change_classes(edit.RenameClass(name="hand", new="paw"), "Eve")
     project.history.undo("Ada")
     assert shown(project) == before
     project.history.redo("Ada")
@@ -198,8 +197,8 @@ COLOUR = Attribute(name="colour", kind=AttributeKind.CHOICE, choices=("red", "bl
 @pytest.mark.parametrize(
     ("change", "after"),
     [
-        (lambda config: edit.rename_choice(config, "colour", "blue", "navy"), {"colour": "navy"}),
-        (lambda config: edit.remove_attribute(config, "colour"), {}),
+        (edit.RenameAttribute(name="colour", choice="blue", new="navy"), {"colour": "navy"}),
+        (edit.RemoveAttribute(name="colour"), {}),
     ],
 )
 def test_values_that_sources_gave_follow_their_attributes(
@@ -311,7 +310,7 @@ def test_where_the_class_of_the_shown_box_is_removed_another_source_is_shown(pro
     bring(project, other, "two", box(0.1, 0.5))
     project.labels.accept(other, project.labels.of_frame(other)[0].uid, revised(project, other))
     assert project.class_counts() == {"hand": ClassCounts(0, 0, 4), "person": ClassCounts(5, 0, 0)}
-    project.change_classes(lambda config: edit.remove_class(config, "person"), "ann")
+    project.change_classes(edit.RemoveClass(name="person", with_boxes=True), "ann")
     # also behind the reviewed label, which goes; an automatic pass's values are as before
     assert shown(project) == [("one", 0.02, ["two"]), ("ours", 5.0, []), ("two", 0.1, [])]
     assert project.class_counts() == {"hand": ClassCounts(3, 0, 1)}
@@ -327,7 +326,7 @@ def test_another_source_is_shown_in_finalised_frames_and_removed_recordings(
     bring(project, frame, "two", box(0.1, 0.5))
     project.frames.finalise(frame, revised(project, frame))
     project.recordings.remove(recording.id, "ann")
-    project.change_classes(lambda config: edit.remove_class(config, "person"), "ann")
+    project.change_classes(edit.RemoveClass(name="person", with_boxes=True), "ann")
     project.recordings.rescan(recording.id, [str(n) for n in range(5)])
     assert shown(project) == [("two", 0.1, [])]
     assert verify(project.path, deep=True).problems == ()
@@ -342,8 +341,12 @@ def test_what_is_behind_a_label_of_a_removed_camera_comes_back_with_it(project: 
     bring(project, here, "one", box(0.0, 0.9))
     bring(project, here, "two", box(0.1, 0.5))
     (label,) = project.labels.of_frame(here)
-    drawn = LabelEdited(
-        uid=label.uid, label="hand", box=BoxRecord.of(label.box), image_box=Box2D("hand", 0.0, 0.0, 9.0, 9.0)
+    drawn = LabelChanged(
+        state=ReviewState.EDITED,
+        uid=label.uid,
+        label="hand",
+        box=BoxRecord.of(label.box),
+        image_box=Box2D("hand", 0.0, 0.0, 9.0, 9.0),
     )
     project.log.append(there, [drawn], revised(project, there))
     project.recordings.remove(2, "ann")

@@ -13,7 +13,7 @@ from store_samples import box_at, by_hand, by_machine, proposal_at, some_boxes, 
 from annotator.project import NewLabel, Project, StoredRecording
 from annotator.project.backup.verify import verify
 from annotator.project.classes import edit
-from annotator.project.classes.attributes import Attribute, AttributeKind, ClassStyle
+from annotator.project.classes.attributes import Attribute, AttributeKind
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.overview import read_page
 from annotator.types import BoxKind, Correction
@@ -203,17 +203,17 @@ def test_changes_that_labels_of_a_removed_recording_do_not_fit_are_refused(
     project: Project, recording: StoredRecording, other: StoredRecording
 ) -> None:
     size = Attribute(name="size", kind=AttributeKind.INTEGER, default=1)
-    project.change_classes(lambda config: edit.put_attribute(config, size), "ann")
+    project.change_classes(edit.PutAttribute(attribute=size), "ann")
     last = project.frames.of()[-1]
     (label,) = project.labels.of_frame(last.id)
     project.labels.set_attributes(last.id, label.uid, {"size": None}, by_hand(last.revision))
     project.recordings.remove(recording.id, "ann")
-    looks = edit.style_class(project.config, "hand", ClassStyle(colour="#3366ff", key="h"))
-    project.change_classes(lambda _: looks, "ann")
+    looks = edit.StyleClass(name="hand", style={"colour": "#3366ff", "key": "h"})
+    project.change_classes(looks, "ann")
     # no value comes back
     assert project.labels.get(label.uid).label.attributes == {}
     for change in (
-        lambda config: edit.put_attribute(config, size.model_copy(update={"maximum": 0.0, "default": None})),
+        edit.PutAttribute(attribute=size.model_copy(update={"maximum": 0.0, "default": None})),
         lambda config: ClassEdit("", edit.with_classes(config, ["person"])),
     ):
         with pytest.raises(ProjectError, match=r"would not fit|cannot be removed"):

@@ -10,11 +10,11 @@ from store_samples import box_at, by_hand, by_machine, proposal_at
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Effort, NewLabel, Origin, Project, RunShare, StoredRecording, WriteContext
-from annotator.project.changes import LabelAccepted
+from annotator.project.changes import LabelChanged
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.progress.reviewed import ORIGINS, draft_id
-from annotator.types import Box2D, BoxKind, Source
+from annotator.types import Box2D, BoxKind, ReviewState, Source
 
 
 def ann(revision: int, actions: int | None = None, seconds: float = 0.0, target: str | None = None) -> WriteContext:
@@ -53,7 +53,7 @@ def test_an_undone_edit_leaves_the_proposal_untouched(project: Project, frame: i
 
 def test_an_action_for_several_labels_is_divided_among_them(project: Project, frame: int) -> None:
     uids = project.proposals.replace(frame, [proposal_at(0.0), proposal_at(5.0)], by_machine()).uids
-    project.log.append(frame, [LabelAccepted(uid=uid or "") for uid in uids], ann(1, 1, 3.0))
+    project.log.append(frame, [LabelChanged(uid=uid or "", state=ReviewState.ACCEPTED) for uid in uids], ann(1, 1, 3.0))
     numbers = project.statistics()
     assert (numbers.effort.boxes, numbers.effort.actions_a_box, numbers.effort.seconds_a_box) == (2, 0.5, 1.5)
 
@@ -156,7 +156,7 @@ def test_values_are_counted_with_the_defaults_of_frames(project: Project, record
     rain = Attribute(name="rain", kind=AttributeKind.BOOLEAN, of=AttributeOf.FRAME, default=False)
     place = Attribute(name="place", kind=AttributeKind.TEXT, of=AttributeOf.FRAME)
     for attribute in (pose, rain, place):
-        project.change_classes(lambda config, each=attribute: edit.put_attribute(config, each), "ann")
+        project.change_classes(edit.PutAttribute(attribute=attribute), "ann")
     empty = project.statistics()
     assert empty.attributes == {"pose": {}, "rain": {"false": 5}, "place": {}}
     assert empty.without_value == {"pose": 0, "rain": 0, "place": 5}

@@ -32,12 +32,14 @@ def test_new_proposals_replace_only_unreviewed_labels(project: Project, frame: i
     assert len(project.labels.of_frame(frame)) == 2
 
 
-@pytest.mark.parametrize("state", [ReviewState.ACCEPTED, ReviewState.EDITED, ReviewState.REJECTED])
-def test_reviewed_objects_are_not_proposed_again(project: Project, frame: int, state: ReviewState) -> None:
-    created = project.labels.create(frame, [NewLabel("hand", box_at(0.0), state=state)], by_hand())
-    replaced = project.proposals.replace(frame, [proposal_at(0.01), proposal_at(3.0)], by_machine(1))
-    assert (replaced.covered, replaced.uids[0]) == (1, None)
-    assert [label.uid for label in project.labels.of_frame(frame)] == [created.uids[0], replaced.uids[1]]
+def test_reviewed_objects_are_not_proposed_again(project: Project, frame: int) -> None:
+    states = (ReviewState.ACCEPTED, ReviewState.EDITED, ReviewState.REJECTED)
+    made = [NewLabel("hand", box_at(5.0 * n), state=state) for n, state in enumerate(states)]
+    uids = project.labels.create(frame, made, by_hand()).uids
+    found = [proposal_at(x) for x in (0.01, 5.01, 10.01, 3.0)]
+    replaced = project.proposals.replace(frame, found, by_machine(3))
+    assert (replaced.covered, replaced.uids[:3]) == (3, (None,) * 3)
+    assert [label.uid for label in project.labels.of_frame(frame)] == [*uids, replaced.uids[3]]
 
 
 @pytest.mark.parametrize(("length_m", "covered"), [(0.51, 1), (0.49, 0), (1.96, 1), (2.04, 0)])

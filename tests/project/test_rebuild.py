@@ -34,7 +34,7 @@ from store_samples import (
 
 from annotator.project import NewLabel, Project, RunShare, WriteContext, create_project, new_action, open_project
 from annotator.project.audit.events import as_one
-from annotator.project.changes import LinkedLabel, TracksLinked
+from annotator.project.changes import LabelChanged, TracksLinked
 from annotator.project.database.schema import AUDITED, columns_of
 from annotator.project.recordings import SharedCloud
 from annotator.project.records import BoxRecord
@@ -57,7 +57,7 @@ def linked(labels: Sequence[Label], track_id: int) -> TracksLinked:
     moved = BoxRecord.of(box_at(4.0))
     return TracksLinked(
         labels=tuple(
-            LinkedLabel(uid=each.uid, track_id=track_id, box=moved if each.state is ReviewState.PROPOSED else None)
+            LabelChanged(uid=each.uid, track_id=track_id, box=moved if each.state is ReviewState.PROPOSED else None)
             for each in labels
         )
     )

@@ -251,11 +251,11 @@ def test_changes_of_classes_come_before_all_events_of_a_copy_without_labels(
     project: Project, frame: int, tmp_path: Path
 ) -> None:
     side = Attribute(name="side", kind=AttributeKind.CHOICE, choices=("left", "right"))
-    project.change_classes(lambda config: edit.put_attribute(config, side), "ann")
+    project.change_classes(edit.PutAttribute(attribute=side), "ann")
     for n in range(9):
         project.labels.create(frame, [NewLabel("hand", box_at(n))], by_hand(n))
-    project.change_classes(lambda config: edit.rename_attribute(config, "side", "hand_side"), "ann")
-    project.change_classes(lambda config: edit.put_attribute(config, side), "ann")
+    project.change_classes(edit.RenameAttribute(name="side", new="hand_side"), "ann")
+    project.change_classes(edit.PutAttribute(attribute=side), "ann")
     with open_project(copy_project(project.path, tmp_path, "copy", labels=False)) as copy:
         made = copy.labels.create(frame, [NewLabel("hand", box_at(), attributes={"side": "left"})], by_hand())
         copy.labels.set_attributes(frame, made.uids[0], {"side": "right"}, by_hand(1))

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from store_samples import box_at, by_hand, by_machine, proposal_at, same_box
+from store_samples import box_at, by_hand, by_machine, proposal_at, revised, same_box
 
 from annotator.project import REVIEWED, NewLabel, Origin, Project, StoredRecording, WriteContext
-from annotator.project.changes import LabelEdited
+from annotator.project.changes import LabelChanged
 from annotator.project.records import BoxRecord
 from annotator.types import BoxKind, Label, OrientedBox, ReviewState, Source, Suggestion
 from annotator.types.errors import ProjectError
@@ -72,26 +72,18 @@ def test_created_labels_keep_their_state_and_source(project: Project, frame: int
 
 def test_a_stored_label_has_the_signals_of_its_proposal(project: Project, frame: int) -> None:
     proposal = proposal_at()
+    unsure = replace(proposal, quality=replace(proposal.quality, expected_iou_loss=0.25))
     odd = replace(proposal, quality=replace(proposal.quality, view_disagreement=math.nan, last_change=math.inf))
-    uids = project.proposals.replace(frame, [proposal, odd], by_machine()).uids
-    assert project.labels.get(uids[0]).quality == proposal.quality
+    uids = project.proposals.replace(frame, [unsure, odd], by_machine()).uids
     quality = project.labels.get(uids[1]).quality
     assert quality is not None
     assert math.isnan(quality.view_disagreement)
     assert (quality.kept_share, quality.last_change) == (0.9, math.inf)
-
-
-def test_a_label_has_the_expected_iou_loss_of_its_proposal_until_somebody_edits_it(
-    project: Project, frame: int
-) -> None:
-    proposal = proposal_at()
-    unsure = replace(proposal, quality=replace(proposal.quality, expected_iou_loss=0.25))
-    (uid,) = project.proposals.replace(frame, [unsure], by_machine()).uids
-    assert project.labels.get(uid).label.expected_iou_loss == 0.25
-    project.labels.edit(frame, uid, by_hand(project.frames.get(frame).revision), label="hand", box=box_at(2.0))
-    edited = project.labels.get(uid)
-    assert edited.label.expected_iou_loss is None
-    assert edited.quality is not None and edited.quality.expected_iou_loss == 0.25
+    # the doubt about a box is gone with the box
+    for expected in (0.25, None):
+        stored = project.labels.get(uids[0])
+        assert (stored.quality, stored.label.expected_iou_loss) == (unsure.quality, expected)
+        project.labels.edit(frame, uids[0], revised(project, frame), label="hand", box=box_at(2.0))
 
 
 def test_a_suggestion_counts_as_corrected_once_the_box_changes(project: Project, frame: int) -> None:
@@ -113,13 +105,17 @@ def test_a_suggestion_counts_as_corrected_once_the_box_changes(project: Project,
     for _ in range(2):
         project.history.undo(by_hand().author)
     assert project.labels.get(uid).label.suggestion == given
-    redrawn = LabelEdited(
-        uid=uid, label="hand", box=BoxRecord.of(box_at(3.0)), suggestion=replace(given, detector="own")
+    redrawn = LabelChanged(
+        state=ReviewState.EDITED,
+        uid=uid,
+        label="hand",
+        box=BoxRecord.of(box_at(3.0)),
+        suggestion=replace(given, detector="own"),
     )
-    project.log.append(frame, [redrawn], by_hand(project.frames.get(frame).revision))
+    project.log.append(frame, [redrawn], revised(project, frame))
     counts = project.statistics().suggested
     assert {name: (each.as_suggested, each.corrected) for name, each in counts.items()} == {"own": (1, 0)}
-    project.labels.reject(frame, uid, by_hand(project.frames.get(frame).revision))
+    project.labels.reject(frame, uid, revised(project, frame))
     assert project.statistics().suggested == {}, "a rejected object is not counted"
 
 
@@ -148,7 +144,9 @@ def test_a_label_says_what_its_box_encloses_until_it_is_changed(project: Project
     kinds = []
     for revision, kind in ((1, None), (2, BoxKind.BOX)):
         kinds.append(project.labels.get(uid).label.box_kind)
-        payload = LabelEdited(uid=uid, label="hand", box=BoxRecord.of(box_at(2.0)), box_kind=kind)
+        payload = LabelChanged(
+            state=ReviewState.EDITED, uid=uid, label="hand", box=BoxRecord.of(box_at(2.0)), box_kind=kind
+        )
         project.log.append(frame, [payload], by_hand(revision))
     kinds.append(project.labels.get(uid).label.box_kind)
     assert kinds == [BoxKind.SILHOUETTE, BoxKind.SILHOUETTE, BoxKind.BOX]

@@ -10,9 +10,7 @@ from sqlalchemy.exc import IntegrityError
 from store_samples import box_at, by_hand
 
 from annotator.project import NewLabel, Project
-from annotator.types import (
-    BoxKind,
-)
+from annotator.types import BoxKind
 from annotator.types.errors import ProjectError
 
 

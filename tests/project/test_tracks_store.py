@@ -8,15 +8,7 @@ import pytest
 from store_samples import box_at, by_hand, by_machine, proposal_at, same_box, state_of
 
 from annotator.project import NewLabel, Project
-from annotator.project.changes import (
-    LabelAccepted,
-    LabelDeleted,
-    LabelRejected,
-    LabelTracked,
-    LinkedLabel,
-    Payload,
-    TracksLinked,
-)
+from annotator.project.changes import LabelChanged, LabelDeleted, Payload, TracksLinked
 from annotator.project.records import BoxRecord
 from annotator.types import ReviewState
 from annotator.types.errors import (
@@ -40,9 +32,9 @@ def test_track_ids_record_whether_they_come_from_linking_or_an_operator(project:
     assert _track(project, uid) == (4, True), "an edit of the box does not confirm the track"
     project.labels.edit(frame, uid, by_hand(2), label="hand", box=box_at(1.0), track_id=5)
     assert _track(project, uid) == (5, False)
-    project.log.append(frame, [TracksLinked(labels=(LinkedLabel(uid=uid, track_id=6),))], by_machine(3))
+    project.log.append(frame, [TracksLinked(labels=(LabelChanged(uid=uid, track_id=6),))], by_machine(3))
     assert _track(project, uid) == (6, True)
-    project.log.append(frame, [LabelTracked(uid=uid, track_id=None)], by_hand(4))
+    project.log.append(frame, [LabelChanged(uid=uid, track_id=None)], by_hand(4))
     assert _track(project, uid) == (None, False)
     assert project.history.next("ann")[0] == "track hand (frame 2)"
     project.history.undo("ann")
@@ -52,13 +44,13 @@ def test_track_ids_record_whether_they_come_from_linking_or_an_operator(project:
 
 def test_linking_changes_no_reviewed_box_and_no_finalised_frame(project: Project, frame: int) -> None:
     (uid,) = project.labels.create(frame, [NewLabel("hand", box_at())], by_hand()).uids
-    moved = TracksLinked(labels=(LinkedLabel(uid=uid, track_id=1, box=BoxRecord.of(box_at(2.0))),))
+    moved = TracksLinked(labels=(LabelChanged(uid=uid, track_id=1, box=BoxRecord.of(box_at(2.0))),))
     with pytest.raises(ProjectError, match="has been reviewed"):
         project.log.append(frame, [moved], by_machine(1))
     assert same_box(project.labels.get(uid).label.box, box_at())
     project.frames.finalise(frame, by_hand(1))
     with pytest.raises(FinalisedFrameError):
-        project.log.append(frame, [TracksLinked(labels=(LinkedLabel(uid=uid, track_id=1),))], by_machine(2))
+        project.log.append(frame, [TracksLinked(labels=(LabelChanged(uid=uid, track_id=1),))], by_machine(2))
     # linking is automatic and cannot be undone
     assert project.history.next("ann")[0] == "finalise frame 2"
 
@@ -70,7 +62,7 @@ def three(project: Project, frame: int) -> tuple[str, str, str]:
     uids = project.labels.create(frame, [right, free, gone], by_hand()).uids
     project.labels.edit(frame, uids[2], by_hand(3), label="hand", box=box_at(6.0), track_id=1)
     project.labels.reject(frame, uids[2], by_hand(4))
-    project.log.append(frame, [LabelTracked(uid=uids[0], track_id=1)], by_hand(5))
+    project.log.append(frame, [LabelChanged(uid=uids[0], track_id=1)], by_hand(5))
     return uids[0], uids[1], uids[2]
 
 
@@ -80,10 +72,10 @@ BOX = BoxRecord.of(box_at(9.0))
 @pytest.mark.parametrize(
     "change",
     [
-        lambda uids: LabelTracked(uid=uids[1], track_id=1),
+        lambda uids: LabelChanged(uid=uids[1], track_id=1),
         lambda uids: NewLabel("person", box_at(), track_id=1, state=ReviewState.PROPOSED),
-        lambda uids: LabelAccepted(uid=uids[2]),
-        lambda uids: TracksLinked(labels=(LinkedLabel(uid=uids[1], track_id=1),)),
+        lambda uids: LabelChanged(uid=uids[2], state=ReviewState.ACCEPTED),
+        lambda uids: TracksLinked(labels=(LabelChanged(uid=uids[1], track_id=1),)),
     ],
     ids=["tracked", "proposed", "a rejected one accepted", "linked"],
 )
@@ -102,19 +94,19 @@ def test_no_change_gives_a_track_a_second_box_in_a_frame(
 def test_boxes_can_change_their_tracks_with_each_other(
     project: Project, frame: int, three: tuple[str, str, str]
 ) -> None:
-    project.log.append(frame, [LabelTracked(uid=three[1], track_id=2)], by_hand(6))
-    swap = [LabelTracked(uid=three[0], track_id=2), LabelTracked(uid=three[1], track_id=1)]
+    project.log.append(frame, [LabelChanged(uid=three[1], track_id=2)], by_hand(6))
+    swap = [LabelChanged(uid=three[0], track_id=2), LabelChanged(uid=three[1], track_id=1)]
     project.log.append(frame, swap, by_hand(7))
     assert [_track(project, uid)[0] for uid in three] == [2, 1, 1]
 
 
 def test_a_rejected_label_gives_its_track_to_one_that_was_rejected(project: Project, frame: int, three) -> None:
     right, free, gone = three
-    project.log.append(frame, [LabelTracked(uid=right, track_id=2)], by_hand(6))
-    back = [LabelTracked(uid=gone, track_id=2), LabelAccepted(uid=gone)]
+    project.log.append(frame, [LabelChanged(uid=right, track_id=2)], by_hand(6))
+    back = [LabelChanged(uid=gone, track_id=2), LabelChanged(uid=gone, state=ReviewState.ACCEPTED)]
     # the same columns change as of the label that comes back, and others of the one whose track it gets
-    as_well = [LabelTracked(uid=free, track_id=5), LabelRejected(uid=free)]
-    project.log.append(frame, [*as_well, LabelRejected(uid=right), *back], by_hand(7))
+    as_well = [LabelChanged(uid=free, track_id=5), LabelChanged(uid=free, state=ReviewState.REJECTED)]
+    project.log.append(frame, [*as_well, LabelChanged(uid=right, state=ReviewState.REJECTED), *back], by_hand(7))
     assert [_track(project, uid)[0] for uid in three] == [2, 5, 2]
     project.history.undo("ann")
     assert [_track(project, uid)[0] for uid in three] == [2, None, 1]
@@ -125,7 +117,7 @@ def test_an_undo_that_would_give_a_track_a_second_box_is_refused_and_can_be_skip
 ) -> None:
     project.labels.create(frame, [NewLabel("person", box_at(12.0))], by_hand(6))
     project.labels.reject(frame, three[0], by_hand(7))
-    project.log.append(frame, [LabelTracked(uid=three[1], track_id=1)], by_hand(8, "bob"))
+    project.log.append(frame, [LabelChanged(uid=three[1], track_id=1)], by_hand(8, "bob"))
     before = state_of(project)
     with pytest.raises(HistoryError, match="track 1 has a box in this frame already") as refused:
         project.history.undo("ann")

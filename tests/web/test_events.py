@@ -14,7 +14,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection
 
 from annotator.project import Project, WriteContext, open_project
-from annotator.project.classes.edit import rename_class
+from annotator.project.classes.edit import RenameClass
 from annotator.types import Correction
 from annotator.web.hub import Client, Hub
 from annotator.workflows.add_recordings import bring_back
@@ -65,7 +65,7 @@ def test_what_any_process_changes_is_announced_once_to_pages_of_its_project(live
             event = next_of(socket, "frame")
             assert (event["revision"], event["operator"]) == expected_next
 
-        project.change_classes(lambda config: rename_class(config, "person", "human"), "Cleo")
+        project.change_classes(RenameClass(name="person", new="human"), "Cleo")
         expected = {"type": "classes", "project": "room", "renamed": {"person": "human"}, "operator": "Cleo"}
         assert next_of(socket, "classes") == expected
         project.adjustments.correct(1, Correction((0.0, 0.1, 0.0), (0.0, 0.0, 0.0)), "annotator calibrate")

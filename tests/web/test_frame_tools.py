@@ -14,7 +14,7 @@ from room_api import BOX, ROOM, change, propose, state
 from scipy.spatial import cKDTree
 
 from annotator.project import NewLabel, Project, WriteContext
-from annotator.project.classes.edit import rename_class
+from annotator.project.classes.edit import RenameClass
 from annotator.recordings import open_recording
 from annotator.types import Correction
 from annotator.web.follow_runs import FollowRuns
@@ -159,7 +159,7 @@ def test_classes_and_attributes_are_changed_and_labels_follow(live: Live, projec
     assert undone == {"frame": None, "state": None, "done": "remove the class dog"}
     assert state(live.client, 1)["labels"][0]["label"] == "dog"
     # the page asks whether to skip a change of the classes that others need, as it does for boxes
-    project.change_classes(lambda config: rename_class(config, "cat", "tiger"), "Bob")
+    project.change_classes(RenameClass(name="cat", new="tiger"), "Bob")
     refused = live.client.post(f"{ROOM}/undo", json={})
     assert (refused.status_code, refused.json()["frame"], refused.json()["state"]) == (409, None, None)
     assert "was changed by Bob since" in refused.json()["error"]["message"]

@@ -49,11 +49,11 @@ def test_a_setting_out_of_range_is_named(tmp_path: Path, name: str, value: objec
 def test_a_detector_follows_classes_that_were_changed_after_its_training(people: Project) -> None:
     register(people, DetectorKind.IMAGE)
     assert required_model(people, DetectorKind.IMAGE).names == ()
-    people.change_classes(lambda config: edit.rename_class(config, "person", "human"), "ann")
-    people.change_classes(lambda config: edit.rename_class(config, "human", "adult"), "ann")
+    people.change_classes(edit.RenameClass(name="person", new="human"), "ann")
+    people.change_classes(edit.RenameClass(name="human", new="adult"), "ann")
     assert required_model(people, DetectorKind.IMAGE).names == (("person", "adult"),)
-    people.change_classes(lambda config: edit.add_class(config, "child"), "ann")
-    people.change_classes(lambda config: edit.remove_class(config, "adult"), "ann")
+    people.change_classes(edit.AddClass(name="child"), "ann")
+    people.change_classes(edit.RemoveClass(name="adult", with_boxes=True), "ann")
     assert required_model(people, DetectorKind.IMAGE).names == (("person", None),)
 
 

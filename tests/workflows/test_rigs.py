@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from annotator.geometry.oriented_box import box_corners
 from annotator.project import NewLabel, Project, Receipt, StoredFrame, WriteContext, open_project
 from annotator.project.backup.take_in import copy_project
-from annotator.project.changes import LabelRejected, LabelTracked, Payload
+from annotator.project.changes import LabelChanged, Payload
 from annotator.project.recordings import SharedCloud
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import ReaderOptions, open_recording
@@ -202,7 +202,8 @@ def test_a_label_that_another_camera_rejects_loses_the_box_on_the_image_that_it_
         stored = around.boxes.on_image(there.id)
         return () if stored is None else stored.boxes
 
-    assert change(LabelRejected(uid=uid), 2).revision == around.frames.get(here.id).revision == 4 and drawn() == ()
+    rejected = change(LabelChanged(uid=uid, state=ReviewState.REJECTED), 2)
+    assert rejected.revision == around.frames.get(here.id).revision == 4 and drawn() == ()
     around.history.undo("eve")
     assert drawn() == (on_image,) and around.labels.of_frame(here.id)[0].state is ReviewState.ACCEPTED
 
@@ -236,7 +237,7 @@ def test_a_camera_that_is_added_later_sees_the_labels_and_a_correction_moves_the
         np.testing.assert_allclose(box_corners(label.box), box_corners(expected), atol=1e-9)
     # labels go with the camera in which they were made, and keep their places; a copy has the other camera alone
     uid, context = label.uid, WriteContext(project.frames.get(first.id).revision, "maria")
-    project.log.append(first.id, [LabelTracked(uid=uid, track_id=3)], context)
+    project.log.append(first.id, [LabelChanged(uid=uid, track_id=3)], context)
     project.recordings.remove(first.recording_id, "maria")
     assert project.labels.of_frame(late.id) == ()
     box = car_in(project, late).transformed(correction.T_camera_recorded)
@@ -249,7 +250,7 @@ def test_a_camera_that_is_added_later_sees_the_labels_and_a_correction_moves_the
     (proposed,) = project.labels.of_frame(late.id)
     context = WriteContext(project.frames.get(late.id).revision, "maria")
     with pytest.raises(TrackTakenError, match="track 3 has a box"):
-        project.log.append(late.id, [LabelTracked(uid=proposed.uid, track_id=3)], context)
+        project.log.append(late.id, [LabelChanged(uid=proposed.uid, track_id=3)], context)
     copy = open_project(copy_project(project.path, tmp_path, "copy", labels=False))
     assert all(frame.moment_id == frame.id >= late.id for frame in copy.frames.of())
 

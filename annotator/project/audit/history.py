@@ -35,7 +35,7 @@ from annotator.project.audit.events import (
     rows_of,
     without_rows,
 )
-from annotator.project.audit.writing import Receipt, Write, WriteContext
+from annotator.project.audit.writing import Write, WriteContext
 from annotator.project.classes.attributes import Attribute, AttributeOf, fitting
 from annotator.project.classes.changing import BATCH, FOLLOWED, require_consistent, write_classes
 from annotator.project.classes.changing import KIND as CLASSES_CHANGED
@@ -118,18 +118,14 @@ class Reverted:
 
     Attributes:
         frame_id: the frame; for several frames, the first one of the action; None for a change of the classes.
-        receipt: of that frame.
         words: description of the action, such as "accept person (frame 000012)", and the attributes of which values
             could not be restored, because the project no longer allows these.
         original: the operator's original action.
-        others: the other changed frames, each with its receipt.
     """
 
     frame_id: int | None
-    receipt: Receipt
     words: str
     original: str
-    others: tuple[tuple[int | None, Receipt], ...] = ()
 
 
 @dataclass
@@ -247,7 +243,7 @@ class History:
                     away |= {row.frame_id} if row.recording_id in removed else set()
                 try:
                     with connection.begin_nested():
-                        receipts = self._restore(connection, parts, author, step, effort, left_out)
+                        changed = self._restore(connection, parts, author, step, effort, left_out)
                 except (HistoryError, TrackTakenError, FinalisedFrameError) as error:
                     some_left = True
                     if not skip:
@@ -258,17 +254,16 @@ class History:
                             can_skip=True,
                         ) from error
                     continue
-                if receipts:
+                if changed:
                     break
             else:
                 why = ": others have changed the same data, or its class was removed" if some_left else ""
                 raise HistoryError(f"{author} has nothing {'left ' if some_left else ''}to {name}{why}")
-            shown = {frame_id: receipt for frame_id, receipt in receipts.items() if frame_id not in away} or receipts
-            (first, receipt), *others = shown.items()
+            shown = [frame_id for frame_id in changed if frame_id not in away] or changed
             words = _description(connection, step)
             if left_out:
                 words += f"; without values that the project no longer allows: {', '.join(sorted(left_out))}"
-            return Reverted(first, receipt, words, step.original, tuple(others))
+            return Reverted(shown[0], words, step.original)
 
     def _restore(
         self,
@@ -278,40 +273,44 @@ class History:
         step: Step,
         effort: Effort | None,
         left_out: set[str],
-    ) -> dict[int | None, Receipt]:
+    ) -> list[int | None]:
         """Puts the rows of each part back, the last part first, one after the other: a pass may have 100,000.
+
+        Returns:
+            The frames that it has changed; None: the classes.
 
         Raises:
             HistoryError: somebody has changed a row since, or what it needs is gone; says what.
         """
-        store, action, receipts = self._writer.store, new_action(), dict[int | None, Receipt]()
+        store, action, changed = self._writer.store, new_action(), list[int | None]()
         for frame_id, ids in reversed(parts.items()):
             part = _Part(connection, ids, left_out)
             if not part.rows:
                 continue
             part.require_as_left()
-            context = WriteContext(0, author, part.source, effort=None if receipts else effort, undoes=step.action)
+            context = WriteContext(0, author, part.source, effort=None if changed else effort, undoes=step.action)
             if frame_id is None:
-                receipts[None] = self._restore_classes(connection, part, context, action)
+                self._restore_classes(connection, part, context, action)
             else:
                 revision = connection.execute(select(frames.c.revision).where(frames.c.id == frame_id)).scalar_one()
                 context = replace(context, revision=revision)
                 where = require_writable(connection, frame_id, context)
                 write = Write(store, connection, frame_id, where, context, action)
-                receipts[frame_id] = part.put_back(write, part.rows)
+                part.put_back(write, part.rows)
+            changed.append(frame_id)
             for row in part.rows:
                 if row.table == "adjustments" and frame_id is not None:
                     make_stale(connection, int(row.key), frame_id)
         if removed_recordings(connection):  # labels of removed recordings may be there again
             hide_removed(connection)
-        return dict(reversed(receipts.items()))
+        return changed[::-1]
 
-    def _restore_classes(self, connection: Connection, part: _Part, context: WriteContext, action: str) -> Receipt:
+    def _restore_classes(self, connection: Connection, part: _Part, context: WriteContext, action: str) -> None:
         """Puts the classes and attributes back, and then the rows that have followed."""
         store, terms = self._writer.store, Terms(connection)
         before = terms.classes, terms.attributes
         of_classes = [row for row in part.rows if row.table in SCHEMA]
-        receipt = part.put_back(write_classes(store, connection, context, action), of_classes, CLASSES_CHANGED)
+        part.put_back(write_classes(store, connection, context, action), of_classes, CLASSES_CHANGED)
         others = [row for row in part.rows if row.table not in SCHEMA]
         for first in range(0, len(others), BATCH):
             write = write_classes(store, connection, replace(context, effort=None), action)
@@ -320,7 +319,6 @@ class History:
             require_consistent(connection, *before)
         except ProjectError as error:
             raise HistoryError(f"{error}") from error
-        return receipt
 
     @contextmanager
     def _stacks(self, connection: Connection, author: str) -> Iterator[_Stacks]:
@@ -356,16 +354,15 @@ class _Part:
         self._last = {(row.table, row.key): event for event in made for row in event.rows}
         self._terms = Terms(connection)
 
-    def put_back(self, write: Write, rows: Sequence[RowChange], kind: str = KIND) -> Receipt:
+    def put_back(self, write: Write, rows: Sequence[RowChange], kind: str = KIND) -> None:
         """Puts rows back, with one event."""
         self._terms = write.terms
         for row in rows:
             write.put(row.table, row.key, self._target(row))
         write.event(kind, CLASSES if write.frame_id is None else None)
-        receipt, now = write.finish(), Terms(self.connection)
-        if gone := sorted(self._classes(rows) - set(now.classes)):
+        write.finish()
+        if gone := sorted(self._classes(rows) - set(Terms(self.connection).classes)):
             raise HistoryError(f"the class {gone[0]!r} was removed")
-        return receipt
 
     def _target(self, change: RowChange) -> Row | None:
         """The row to put back."""
@@ -485,8 +482,8 @@ def _description(connection: Connection, step: Step) -> str:
     rows = connection.execute(_NAMED, {"action": step.original}).all()
     made, keys = [event_of(row) for row in rows], [row.key for row in rows]
     first, last = made[0], made[-1]
-    if first.view_id == CLASSES:
-        return first.effort_target or "change the classes"
+    if first.view_id == CLASSES or first.kind == ADJUSTED:
+        return first.effort_target or "change"
     is_one = first.frame_id == last.frame_id
     where = f"frame {keys[0]}" if is_one else f"frames {keys[0]} to {keys[-1]}"
     kinds = {event.kind for event in made}
@@ -494,8 +491,6 @@ def _description(connection: Connection, step: Step) -> str:
         what = f"boxes of {first.effort_target}" if first.kind == IMPORTED else ""
         what = what or ("3D boxes" if any(kind.startswith("label") for kind in kinds) else "2D boxes")
         return f"import {what} ({where})"
-    if first.kind == ADJUSTED:
-        return _adjustment_words(connection, first)
     kind, verb = next(((kind, verb) for kind, verb in VERBS if kind in kinds), ("", "change"))
     if first.source is Source.AUTO:
         return f"{verb} boxes ({where})"
@@ -511,15 +506,3 @@ def _description(connection: Connection, step: Step) -> str:
     for row in counted.values():
         return f"{verb} {_class_of(connection, row, last)} ({where})"
     return f"{verb} {where}" if kinds & {"frame_finalised", "frame_reopened"} else f"{verb} ({where})"
-
-
-def _adjustment_words(connection: Connection, event: Event) -> str:
-    """Such as "set up of room-3"."""
-    named = select(recordings.c.name).join(frames, frames.c.recording_id == recordings.c.id)
-    named = named.where(frames.c.id == event.frame_id)
-    is_turned = False
-    for row in event.rows:  # none, where it was set to what it was
-        before, after = (adjustment_row(0, Adjustment(None)) | (state or {}) for state in (row.before, row.after))
-        is_turned = row.before is None and before["correction"] != after["correction"]
-        is_turned |= row.before is not None and "correction" in row.before
-    return f"{'correct the calibration of' if is_turned else 'set up of'} {connection.execute(named).scalar_one()}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from annotator.geometry.oriented_box import same_box
@@ -12,16 +12,9 @@ from annotator.project.changes import (
     REQUESTED,
     FrameAttributesSet,
     FrameFinalised,
-    FrameReopened,
     ImageBoxesSet,
-    LabelAccepted,
-    LabelAttributesSet,
+    LabelChanged,
     LabelDeleted,
-    LabelEdited,
-    LabelMoved,
-    LabelRejected,
-    LabelTracked,
-    LinkedLabel,
     NewLabel,
     Payload,
     ProposalsReplaced,
@@ -29,13 +22,13 @@ from annotator.project.changes import (
     ViewBoxesRemoved,
     ViewBoxesSet,
 )
-from annotator.project.classes.attributes import AttributeOf, fitting
+from annotator.project.classes.attributes import Attribute, AttributeOf, fitting
 from annotator.project.classes.values import Values, after_edit, checked, new_values, of_tracks
 from annotator.project.database.schema import columns_of
 from annotator.project.records import OWN, SaidRecord, suggestion_json
 from annotator.project.rows import Row, number_or_none, values_json, values_of
 from annotator.types import Proposal, ReviewState, Source
-from annotator.types.errors import NotFoundError, ProjectError
+from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue
 
 
@@ -63,29 +56,22 @@ def make(write: Write, payload: Payload) -> None:
             _replace_proposals(write, payload)
         case TracksLinked():
             for linked in payload.labels:
-                _link(write, linked)
-        case LabelAccepted() | LabelRejected():
-            state = ReviewState.ACCEPTED if isinstance(payload, LabelAccepted) else ReviewState.REJECTED
-            write.put("labels", payload.uid, write.label(payload.uid) | write.author | {"state": state.value})
-        case LabelEdited():
-            _edit(write, payload)
-        case LabelMoved():
-            box = write.terms.box_json(payload.box, write.frame_id)
-            write.put("labels", payload.uid, write.label(payload.uid) | write.author | {"box": box})
-        case LabelTracked():
-            row = write.label(payload.uid)
-            name = write.terms.names[row["class_id"]]
-            write.put("labels", payload.uid, row | write.author | _tracked(write, row, name, name, payload.track_id))
-        case LabelAttributesSet():
-            _set_values(write, payload)
+                _change(write, linked, is_linked=True)
+        case LabelChanged():
+            _change(write, payload)
+            kind = _kind_of(payload)
         case LabelDeleted():
             write.label(payload.uid)
             for uid in [row["uid"] for row in write.labels() if payload.uid in (row["uid"], row["behind"])]:
                 write.put("labels", uid, None)
         case FrameAttributesSet():
-            _set_frame_values(write, payload.attributes)
-        case FrameFinalised() | FrameReopened():
-            _set_finalised(write, isinstance(payload, FrameFinalised))
+            of_frames = [each for each in write.terms.attributes if each.of is AttributeOf.FRAME]
+            row = _frame(write)
+            values = _with_values(values_of(row["attributes"]), payload.attributes, of_frames, "a frame")
+            write.put("frames", row["id"], row | {"attributes": values_json(values) if values else None})
+        case FrameFinalised():
+            _set_finalised(write, payload.finalised)
+            kind = kind if payload.finalised else "frame_reopened"
         case _:
             raise TypeError(f"{payload.kind} is no change that the store knows")
     write.event(kind, view)
@@ -197,30 +183,31 @@ def _replace_proposals(write: Write, payload: ProposalsReplaced) -> None:
     write.keep_pass(json.dumps(found, separators=(",", ":")))
 
 
-def _link(write: Write, linked: LinkedLabel) -> None:
-    row = write.row("labels", linked.uid)
-    # linking never changes a reviewed box
-    is_free = linked.box is None or (row is not None and row["state"] == ReviewState.PROPOSED.value)
-    if row is None or row["moment_id"] != write.moment_id or not is_free:
-        raise ProjectError(
-            f"{write.where}: label {linked.uid} is not in this frame, or has been reviewed since; link the tracks again"
-        )
-    changed: Row = {"attributes": values_json(values_of(row["attributes"]) | linked.attributes)}
-    if linked.track_id is not None:
-        changed |= {"track_id": linked.track_id, "track_linked": 1}
-    if linked.box is not None:
-        changed["box"] = write.terms.box_json(linked.box, write.frame_id)
-    write.put("labels", linked.uid, row | changed)
+def _kind_of(payload: LabelChanged) -> str:
+    """The kind of the event: by the decision, else by what is given."""
+    if payload.state is not None:
+        return f"label_{payload.state.value}"
+    given = {"track_id": "label_tracked", "attributes": "label_attributes_set"}
+    return next((kind for name, kind in given.items() if name in payload.model_fields_set), "label_moved")
 
 
-def _edit(write: Write, payload: LabelEdited) -> None:
+def _change(write: Write, payload: LabelChanged, *, is_linked: bool = False) -> None:
     row, terms = write.label(payload.uid), write.terms
+    # linking never changes a reviewed box
+    if is_linked and payload.box is not None and row["state"] != ReviewState.PROPOSED.value:
+        raise ProjectError(f"{write.where}: label {payload.uid} has been reviewed since; link the tracks again")
+    before = terms.names[row["class_id"]]
+    name = before if payload.label is None else payload.label
+    changed: Row = {} if is_linked else dict(write.author)
+    if payload.label is not None:
+        changed["class_id"] = write.class_id(name)
+    if payload.state is not None:
+        changed["state"] = payload.state.value
     # An edit that keeps the box gets it bit for bit: the page's box has other last digits. Otherwise, the edit would
     # count as a correction of a suggested box.
-    present = terms.record(row["box"], write.frame_id)
-    is_kept = same_box(present.box(), payload.box.box())
-    changed: Row = {"class_id": write.class_id(payload.label), "state": ReviewState.EDITED.value}
-    if not is_kept:
+    if payload.box is not None and not (
+        payload.state is ReviewState.EDITED and same_box(terms.box(row["box"], write.frame_id), payload.box.box())
+    ):
         changed["box"] = terms.box_json(payload.box, write.frame_id)
     if payload.image_box is not None:
         write.class_id(payload.image_box.label)
@@ -229,54 +216,39 @@ def _edit(write: Write, payload: LabelEdited) -> None:
         changed["box_kind"] = payload.box_kind.value
     if payload.suggestion is not None:
         changed["suggestion"] = suggestion_json(payload.suggestion)
-    elif row["suggestion"] is not None and not is_kept:
+    elif row["suggestion"] is not None and payload.state is ReviewState.EDITED and "box" in changed:
         changed["suggestion"] = json.dumps(json.loads(row["suggestion"]) | {"corrected": True}, separators=(",", ":"))
-    before = terms.names[row["class_id"]]
-    changed |= _tracked(write, row, before, payload.label, payload.track_id)
-    write.put("labels", payload.uid, row | write.author | changed)
+    is_other = "track_id" in payload.model_fields_set and payload.track_id != row["track_id"]
+    if is_other or (is_linked and "track_id" in payload.model_fields_set):
+        changed |= {"track_id": payload.track_id, "track_linked": int(is_linked)}
+    values = values_of(row["attributes"])
+    if terms.attributes and (name != before or (is_other and not is_linked)):
+        of_track = _values_of_tracks(write, [payload.track_id]).get(payload.track_id, {}) if is_other else {}
+        values = after_edit(terms.attributes, values, before, name, of_track)
+    if payload.attributes:
+        values = _with_values(values, payload.attributes, terms.attributes_of(name), name)
+        is_own = write.context.source is Source.MANUAL and write.context.effort_target in (None, payload.uid)
+        changed["values_set"] = int(is_own or row["values_set"])
+    write.put("labels", payload.uid, row | changed | {"attributes": values_json(values)})
 
 
-def _tracked(write: Write, row: Row, before: str, after: str, track_id: int | None) -> Row:
-    """What changes of a label with its class and its track; a track set by linking stays one if the id is the same."""
-    is_other = track_id != row["track_id"]
-    changed: Row = {"track_id": track_id, "track_linked": 0 if is_other else row["track_linked"]}
-    if write.terms.attributes and (is_other or after != before):
-        of_track = _values_of_tracks(write, [track_id]).get(track_id, {}) if is_other else {}
-        present = values_of(row["attributes"])
-        changed["attributes"] = values_json(after_edit(write.terms.attributes, present, before, after, of_track))
-    return changed
+def _with_values(
+    present: Values, changed: Mapping[str, AttributeValue | None], attributes: Sequence[Attribute], what: str
+) -> Values:
+    """Values with changed ones, of which None removes one; `what` has them, for messages."""
+    new = checked(attributes, {name: value for name, value in changed.items() if value is not None}, what)
+    return {name: value for name, value in present.items() if name not in changed} | new
 
 
-def _set_values(write: Write, payload: LabelAttributesSet) -> None:
-    row = write.row("labels", payload.uid)
-    if row is None or row["moment_id"] != write.moment_id:
-        raise NotFoundError(
-            f"{write.where}: there is no label {payload.uid}; it may have been deleted; reload the frame"
-        )
-    name = write.terms.names[row["class_id"]]
-    given = {key: value for key, value in payload.attributes.items() if value is not None}
-    both = (
-        values_of(row["attributes"]) | dict(payload.attributes) | checked(write.terms.attributes_of(name), given, name)
-    )
-    values = {key: value for key, value in both.items() if value is not None}
-    is_own = write.context.source is Source.MANUAL and write.context.effort_target in (None, payload.uid)
-    changed = {"attributes": values_json(values), "values_set": int(is_own or row["values_set"])}
-    write.put("labels", payload.uid, row | write.author | changed)
-
-
-def _set_frame_values(write: Write, values: Mapping[str, AttributeValue]) -> None:
-    assert write.frame_id is not None  # only frames have values
+def _frame(write: Write) -> Row:
+    assert write.frame_id is not None  # only frames have values, and are finalised
     row = write.row("frames", write.frame_id)
     assert row is not None  # `require_writable` has found it
-    of_frames = [each for each in write.terms.attributes if each.of is AttributeOf.FRAME]
-    after = checked(of_frames, values, "a frame")
-    write.put("frames", write.frame_id, row | {"attributes": values_json(after) if after else None})
+    return row
 
 
 def _set_finalised(write: Write, finalised: bool) -> None:
-    assert write.frame_id is not None  # only frames are finalised
-    row = write.row("frames", write.frame_id)
-    assert row is not None  # `require_writable` has found it
+    row = _frame(write)
     if bool(row["finalised"]) == finalised:
         raise ProjectError(f"{write.where}: the frame is {'already' if finalised else 'not'} finalised")
-    write.put("frames", write.frame_id, row | {"finalised": int(finalised)})
+    write.put("frames", row["id"], row | {"finalised": int(finalised)})

@@ -61,7 +61,7 @@ class WriteContext:
         source: manual, automatic or imported.
         effort: of the operator, if counted.
         effort_target: uid of the label, or id of the draft, that the effort was for; default: the changed labels. Of
-            a change of the classes, what changes, in words.
+            a change of the classes or of a recording, what changes, in words.
         maker: who has made the boxes, if that is not the author: a program that the author has started.
         undoes: the action that this change reverts.
     """

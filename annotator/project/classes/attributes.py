@@ -1,4 +1,4 @@
-"""The schema of attributes and the looks of classes, and what its changes do to labels."""
+"""The schema of attributes and the looks of classes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, Any
 
@@ -198,59 +197,3 @@ def fitting(attributes: Iterable[Attribute], values: Mapping[str, AttributeValue
 def value_text(value: AttributeValue) -> str:
     """A value for people."""
     return str(value).lower() if isinstance(value, bool) else str(value)
-
-
-# --- what a change does to stored labels ------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Filled:
-    """A value for the boxes of some classes (none: of all) that have no value of an attribute."""
-
-    name: str
-    value: AttributeValue
-    classes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Relabelling:
-    """What happens to stored labels.
-
-    Attributes:
-        classes: old name -> new name; several old ones may get the same.
-        choices: attribute (by its new name) -> old choice -> new choice.
-        filled: values for boxes without one, the classes by their new names.
-        fitted: attributes whose definition is narrower now; values that do not fit are removed.
-    """
-
-    classes: dict[str, str] = field(default_factory=dict)
-    removed: tuple[str, ...] = ()
-    attributes: dict[str, str] = field(default_factory=dict)
-    dropped: tuple[str, ...] = ()
-    choices: dict[str, dict[str, str]] = field(default_factory=dict)
-    filled: tuple[Filled, ...] = ()
-    fitted: tuple[Attribute, ...] = ()
-
-    @property
-    def changes_rows(self) -> bool:
-        """Whether rows of labels or frames change, and not only the names of classes."""
-        return self != Relabelling(classes=self.classes)
-
-    def values(self, values: Mapping[str, AttributeValue]) -> dict[str, AttributeValue]:
-        """The values of a label or frame after the change."""
-        kept = {self.attributes.get(name, name): value for name, value in values.items() if name not in self.dropped}
-        new = {name: self._choice(name, value) for name, value in kept.items()}
-        narrow = {attribute.name: attribute for attribute in self.fitted}
-        return {name: value for name, value in new.items() if name not in narrow or narrow[name].fits(value)}
-
-    def values_of(self, label: str, values: Mapping[str, AttributeValue]) -> dict[str, AttributeValue]:
-        """As `values`, of a label of the class `label` (its new name), with values filled in."""
-        lacks = {attribute.name for attribute in self.fitted if not attribute.is_of(label)}
-        new = {name: value for name, value in self.values(values).items() if name not in lacks}
-        for each in self.filled:
-            if not each.classes or label in each.classes:
-                new.setdefault(each.name, each.value)
-        return new
-
-    def _choice(self, name: str, value: AttributeValue) -> AttributeValue:
-        return self.choices.get(name, {}).get(value, value) if isinstance(value, str) else value

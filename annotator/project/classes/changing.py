@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from pydantic import ValidationError
@@ -11,7 +11,7 @@ from sqlalchemy import Connection, select
 
 from annotator.project.audit.events import CLASSES, read_events
 from annotator.project.audit.writing import Write, WriteContext
-from annotator.project.classes.attributes import Attribute, ClassStyle, Relabelling
+from annotator.project.classes.attributes import Attribute, ClassStyle
 from annotator.project.classes.counts import require_fitting
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.config import ProjectConfig, ProjectFile, whole_config
@@ -23,6 +23,7 @@ from annotator.project.sources import KIND as IMPORTED
 from annotator.project.sources import regroup
 from annotator.types import Source
 from annotator.types.errors import ProjectError
+from annotator.types.label import AttributeValue
 from annotator.types.messages import first_problem
 
 # The kinds of events: with rows of classes and attributes, also of their undo; with the rows that follow these.
@@ -37,20 +38,20 @@ def change_classes(store: Store, connection: Connection, made: ClassEdit, author
     Frames of which anything changes get a new revision, so that changes which are based on the earlier classes are
     refused.
     """
-    action, change = new_action(), made.change
+    action = new_action()
     write = write_classes(store, connection, WriteContext(0, author, effort_target=made.words), action)
     classes, attributes = write.terms.classes, write.terms.attributes
-    _put_classes(write, made.config, change)
+    _put_classes(write, made.config, made.names)
     write.event(KIND, CLASSES)
     write.finish()
-    for batch in _changed_rows(connection, change) if change.changes_rows else ():
+    for batch in _changed_rows(connection, made) if made.values or made.removed else ():
         write = write_classes(store, connection, WriteContext(0, author), action)
         for table, row, after in batch:
             write.know(table, row[AUDITED[table]], row)
             write.put(table, row[AUDITED[table]], after)
         write.event(FOLLOWED, CLASSES)
         write.finish()
-    if change.removed:
+    if made.removed:
         _show_others(store, connection, author, action)
     require_consistent(connection, classes, attributes)
 
@@ -58,7 +59,7 @@ def change_classes(store: Store, connection: Connection, made: ClassEdit, author
 def set_up_classes(store: Store, connection: Connection, config: ProjectConfig, author: str) -> None:
     """Writes the classes of a new project, which cannot be undone."""
     write = write_classes(store, connection, WriteContext(0, author), None)
-    _put_classes(write, config, Relabelling())
+    _put_classes(write, config, {})
     write.event(KIND, CLASSES)
     write.finish()
 
@@ -78,15 +79,15 @@ def require_consistent(connection: Connection, classes: Sequence[str], attribute
     require_fitting(connection, classes, attributes)
 
 
-def _put_classes(write: Write, new: ProjectConfig, change: Relabelling) -> None:
+def _put_classes(write: Write, new: ProjectConfig, renamed: Mapping[str, str]) -> None:
     """Puts the rows of the classes and attributes."""
     terms, rows = write.terms, dict[int, Row]()
     for number, name in terms.names.items():
-        named = {"id": number, "name": change.classes.get(name, name)}
+        named = {"id": number, "name": renamed.get(name, name)}
         rows[number] = named | {"position": None, "colour": None, "shortcut": None}
     ids = dict[str, int]()
     for position, name in enumerate(new.classes):
-        old = [before for before, after in change.classes.items() if after == name]
+        old = [before for before, after in renamed.items() if after == name]
         before = name if name in terms.classes or not old else old[0]
         # a class that was removed gets its id back
         ids[name] = number = terms.ids.get(before, max(rows, default=0) + 1)
@@ -120,7 +121,7 @@ def _show_others(store: Store, connection: Connection, author: str, action: str)
         write.finish()
 
 
-def _changed_rows(connection: Connection, change: Relabelling) -> Iterator[list[tuple[str, Row, Row | None]]]:
+def _changed_rows(connection: Connection, change: ClassEdit) -> Iterator[list[tuple[str, Row, Row | None]]]:
     """Yields the rows that a change of attributes, or a removed class, changes: table, before, after."""
     terms = Terms(connection)
     for table in ("labels", "frames", "image_labels", "view_labels"):
@@ -141,41 +142,45 @@ def _batches(connection: Connection, table: str) -> Iterator[list[Row]]:
         after = found[-1][0]
 
 
-def _changed(terms: Terms, change: Relabelling, table: str, row: Row) -> Row | None:
+def _changed(terms: Terms, change: ClassEdit, table: str, row: Row) -> Row | None:
     """A row after the change; None if it goes."""
     if table == "frames":
-        values = change.values(values_of(row["attributes"]))
+        values = _values(change, None, values_of(row["attributes"]))
         return row | {"attributes": values_json(values) if values else None}
     if table == "labels":
         return _changed_label(terms, change, row)
     boxes = terms.boxes_2d(row["boxes"])
-    left = [box for box in boxes if box.label not in change.removed]
+    left = [box for box in boxes if box.label != change.removed]
     if table == "view_labels":
         # a view without boxes would say that it shows no object
         if boxes and not left:
             return None
         geometry = terms.geometry(row["geometry"], row["frame_id"])
-        if geometry is not None and geometry.image_box is not None and geometry.image_box.label in change.removed:
+        if geometry is not None and geometry.image_box is not None and geometry.image_box.label == change.removed:
             geometry = geometry.model_copy(update={"image_box": None})
             row = row | {"geometry": terms.geometry_json(geometry, row["frame_id"])}
     return row if len(left) == len(boxes) else row | {"boxes": terms.boxes_2d_json(left), "count": len(left)}
 
 
-def _changed_label(terms: Terms, change: Relabelling, row: Row) -> Row | None:
+def _changed_label(terms: Terms, change: ClassEdit, row: Row) -> Row | None:
     name = terms.names[row["class_id"]]
-    if name in change.removed:
+    if name == change.removed:
         return None
-    after = row | {"attributes": values_json(change.values_of(name, values_of(row["attributes"])))}
+    after = row | {"attributes": values_json(_values(change, name, values_of(row["attributes"])))}
     image_box = box_2d_of(row["image_box"], terms.key)
-    if image_box is not None and image_box.label in change.removed:
+    if image_box is not None and image_box.label == change.removed:
         after["image_box"] = None
     if row["said"] is not None:
         said = terms.said(row["said"], None)
-        if said.label in change.removed:
+        if said.label == change.removed:
             return after | {"said": None, "of_source": None}
-        own, given = (change.values_of(said.label, values) for values in (said.attributes, said.given))
+        own, given = (_values(change, said.label, values) for values in (said.attributes, said.given))
         after["said"] = said_with(row["said"], own, given)
     return after
+
+
+def _values(change: ClassEdit, label: str | None, values: Mapping[str, AttributeValue]) -> Mapping[str, AttributeValue]:
+    return values if change.values is None else change.values(label, values)
 
 
 # --- what was changed -------------------------------------------------------------------------------------------------

@@ -65,25 +65,25 @@ def counts_with_defaults(
     labelled or not, since labels are counted before their review, too. Exports write it for those that they contain.
     """
     stored = list(_stored(connection))
-    counts = _counted(stored)
+    counts, without = _counted(stored), dict[str, int]()
     of_classes = select(labels.c.label, func.count()).where(labels.c.state != "rejected").group_by(labels.c.label)
     of_frames = select(frames.c.attributes, func.count()).where(frames.c.position.is_not(None))
-    there: list[tuple[str, Mapping[str, AttributeValue], int]] = [
-        (label, {}, number) for label, number in connection.execute(of_classes)
+    in_all = connection.execute(of_classes).all()
+    present = [
+        (values_of(each), number) for each, number in connection.execute(of_frames.group_by(frames.c.attributes))
     ]
-    present = list(connection.execute(of_frames.group_by(frames.c.attributes)))
-    without: Counter[str] = Counter(dict.fromkeys((each.name for each in attributes), 0))
-    for label, values, number in (*there, *((label, values, -number) for label, values, number in stored if label)):
-        without.update({a.name: number for a in attributes if a.is_of(label) and (number > 0 or a.name in values)})
-    for content, number in present:
-        values = values_of(content)
-        without.update({a.name: number for a in attributes if a.of is AttributeOf.FRAME and a.name not in values})
     for each in attributes:
-        counts.setdefault(each.name, Counter())
-        if each.of is AttributeOf.FRAME and each.default is not None and without[each.name]:
-            counts[each.name][value_text(each.default)] += without[each.name]
-            without[each.name] = 0
-    return _by_name(counts), dict(without)
+        name, found = each.name, counts[each.name]
+        if each.of is AttributeOf.FRAME:
+            lacking = sum(number for values, number in present if name not in values)
+            if each.default is not None and lacking:
+                found[value_text(each.default)] += lacking
+                lacking = 0
+        else:
+            lacking = sum(number for label, number in in_all if each.is_of(label))
+            lacking -= sum(n for label, values, n in stored if label and each.is_of(label) and name in values)
+        without[name] = lacking
+    return _by_name(counts), without
 
 
 def require_fitting(connection: Connection, classes: Sequence[str], attributes: Sequence[Attribute]) -> None:

@@ -1,47 +1,241 @@
-"""Changes of the classes and attributes, as pure functions on the configuration."""
+"""Changes of the classes and attributes: each is called with the configuration, and says what becomes of it.
+
+The page sends them as they are; the commands make them. Values in them are checked when they are called.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
-from annotator.project.classes.attributes import (
-    MEASURED,
-    Attribute,
-    AttributeKind,
-    AttributeOf,
-    ClassStyle,
-    Filled,
-    Relabelling,
-)
+from annotator.project.classes.attributes import MEASURED, Attribute, AttributeKind, AttributeOf, ClassStyle
 from annotator.project.config import ProjectConfig
+from annotator.types.bases import Strict
 from annotator.types.errors import ConfigError, NotFoundError
+from annotator.types.label import AttributeValue
 from annotator.types.messages import alternatives, first_problem
 
 
 @dataclass(frozen=True)
 class ClassEdit:
-    """A change in words: the new configuration, and what happens to stored labels."""
+    """A change in words: the new configuration, and what happens to stored boxes.
+
+    Attributes:
+        names: old name of a class -> new one; several old ones may get the same.
+        removed: the class whose boxes go.
+        values: the values of a box of a class (its new name; None: of a frame) -> those after the change; None: they
+            stay.
+    """
 
     words: str
     config: ProjectConfig
-    change: Relabelling = field(default_factory=Relabelling)
+    names: Mapping[str, str] = field(default_factory=dict)
+    removed: str | None = None
+    values: Callable[[str | None, Mapping[str, AttributeValue]], dict[str, AttributeValue]] | None = None
 
 
-def add_class(config: ProjectConfig, name: str, style: ClassStyle | None = None) -> ClassEdit:
-    """Adds a class at the end."""
-    if name in config.classes:
-        raise ConfigError(f"project {config.name} has the class {name!r} already")
-    new = _with(config, classes=(*config.classes, name), class_styles=_styled(config, name, style))
-    return ClassEdit(f"add the class {name}", new)
+Looks = dict[Literal["colour", "key"], str | None]
 
 
-def style_class(config: ProjectConfig, name: str, style: ClassStyle) -> ClassEdit:
-    """Sets the colour and the key of a class."""
-    require_class(config, name)
-    return ClassEdit(f"set the look of the class {name}", _with(config, class_styles=_styled(config, name, style)))
+class AddClass(Strict):
+    """Adds a class at the end, with a colour and a key."""
+
+    do: Literal["add"] = "add"
+    name: str
+    style: Looks = Field(default_factory=dict)
+
+    def __call__(self, config: ProjectConfig) -> ClassEdit:
+        if self.name in config.classes:
+            raise ConfigError(f"project {config.name} has the class {self.name!r} already")
+        styles = _styled(config, self.name, ClassStyle.model_validate(self.style))
+        new = _with(config, classes=(*config.classes, self.name), class_styles=styles)
+        return ClassEdit(f"add the class {self.name}", new)
+
+
+class StyleClass(Strict):
+    """Sets colour and key of a class; null = none, what is not given stays."""
+
+    do: Literal["style"] = "style"
+    name: str
+    style: Looks
+
+    def __call__(self, config: ProjectConfig) -> ClassEdit:
+        require_class(config, self.name)
+        before = config.class_styles.get(self.name, ClassStyle()).model_dump()
+        styles = _styled(config, self.name, ClassStyle.model_validate(before | self.style))
+        return ClassEdit(f"set the look of the class {self.name}", _with(config, class_styles=styles))
+
+
+class Order(Strict):
+    """Orders the classes or the attributes."""
+
+    do: Literal["order", "order_attributes"] = "order"
+    names: tuple[str, ...]
+
+    def __call__(self, config: ProjectConfig) -> ClassEdit:
+        what, field = ("class", "classes") if self.do == "order" else ("attribute", "attributes")
+        known = {getattr(each, "name", each): each for each in getattr(config, field)}
+        if sorted(self.names) != sorted(known):
+            raise ConfigError(f"the order must name each {what} once: {', '.join(known)}")
+        ordered = _with(config, **{field: tuple(known[name] for name in self.names)})
+        return ClassEdit(f"order the {field}", ordered)
+
+
+class RenameClass(Strict):
+    """Renames a class; its boxes follow."""
+
+    do: Literal["rename"] = "rename"
+    name: str
+    new: str
+
+    def __call__(self, config: ProjectConfig) -> ClassEdit:
+        require_class(config, self.name)
+        if self.new in config.classes:
+            raise ConfigError(
+                f"project {config.name} has the class {self.new!r} already; to give it the boxes of {self.name!r}, "
+                f"merge them: annotator classes merge {config.name} {self.name} --into {self.new}"
+            )
+        classes = [self.new if name == self.name else name for name in config.classes]
+        return _replaced(f"rename the class {self.name} to {self.new}", config, {self.name: self.new}, classes)
+
+
+class MergeClasses(Strict):
+    """Gives all boxes of some classes to another one, and removes these classes."""
+
+    do: Literal["merge"] = "merge"
+    names: tuple[str, ...]
+    into: str
+
+    def __call__(self, config: ProjectConfig) -> ClassEdit:
+        if not self.names:
+            raise ConfigError(f"name the classes whose boxes {self.into!r} gets")
+        for name in (*self.names, self.into):
+            require_class(config, name)
+        if self.into in self.names:
+            raise ConfigError(f"{self.into!r} cannot be merged into itself; name the other classes only")
+        left = [name for name in config.classes if name not in self.names]
+        words = f"merge {', '.join(self.names)} into the class {self.into}"
+        return _replaced(words, config, dict.fromkeys(self.names, self.into), left)
+
+
+class RemoveClass(Strict):
+    """Removes a class; one that has boxes only with them."""
+
+    do: Literal["remove"] = "remove"
+    name: str
+    with_boxes: bool = False
+
+    def __call__(self, config: ProjectConfig) -> ClassEdit:
+        require_class(config, self.name)
+        new = with_classes(config, [label for label in config.classes if label != self.name])
+        return ClassEdit(f"remove the class {self.name}", new, removed=self.name if self.with_boxes else None)
+
+
+class PutAttribute(Strict):
+    """Adds an attribute, or changes the one of this name; with `drop`, stored values that do not fit are removed.
+
+    Boxes without a value get its default, unless only its key changes, or whether it is required.
+    """
+
+    do: Literal["attribute"] = "attribute"
+    # one that contradicts itself is refused when it is called, with a message for the operator
+    attribute: Attribute | dict[str, Any]
+    drop: bool = False
+
+    def __call__(self, config: ProjectConfig) -> ClassEdit:
+        attribute = Attribute.model_validate(self.attribute)
+        known = {each.name: each for each in config.attributes}
+        before = known.get(attribute.name)
+        has_new_default = attribute.default is not None and (before is None or before.default != attribute.default)
+        if has_new_default and attribute.name in MEASURED and attribute.of is not AttributeOf.FRAME:
+            raise ConfigError(
+                f"attribute {attribute.name} cannot have a default: exports measure it for boxes without a value, and "
+                "a default would replace what they measure; leave the default out"
+            )
+        if before is not None and before.of is not attribute.of and AttributeOf.FRAME in (before.of, attribute.of):
+            raise ConfigError(
+                f"attribute {attribute.name} belongs to a {before.of}; its values cannot move to a {attribute.of}; "
+                "remove it first, or choose another name"
+            )
+        is_other_look = before not in (None, attribute) and attribute.has_same_values(before)
+        fills = attribute.default is not None and attribute.of is not AttributeOf.FRAME and not is_other_look
+
+        def values(label: str | None, present: Mapping[str, AttributeValue]) -> dict[str, AttributeValue]:
+            new, name = dict(present), attribute.name
+            has = label is None or attribute.is_of(label)
+            if self.drop and name in new and not (has and attribute.fits(new[name])):
+                del new[name]
+            if fills and attribute.default is not None and label is not None and has:
+                new.setdefault(name, attribute.checked(attribute.default))
+            return new
+
+        words = f"{'add' if before is None else 'change'} the attribute {attribute.name}"
+        new = _with(config, attributes=tuple((known | {attribute.name: attribute}).values()))
+        return ClassEdit(words, new, values=values if fills or self.drop else None)
+
+
+class RenameAttribute(Strict):
+    """Renames an attribute, or one of its choices, or merges that into another one; values follow."""
+
+    do: Literal["rename_attribute"] = "rename_attribute"
+    name: str
+    choice: str | None = None
+    new: str
+
+    def __call__(self, config: ProjectConfig) -> ClassEdit:
+        attribute, name, new, old = find_attribute(config, self.name), self.name, self.new, self.choice
+        if old is None:
+            if any(each.name == new for each in config.attributes):
+                raise ConfigError(f"project {config.name} has the attribute {new!r} already")
+            words = f"rename the attribute {name} to {new}"
+            changes: dict[str, Any] = {"name": new}
+        elif attribute.kind is not AttributeKind.CHOICE or old not in attribute.choices:
+            raise NotFoundError(f"attribute {name} has no choice {old!r}; it takes {attribute.values_text()}")
+        else:
+            words = f"rename {old} of the attribute {name} to {new}"
+            choices = dict.fromkeys(new if choice == old else choice for choice in attribute.choices)
+            changes = {"choices": list(choices), "default": new if attribute.default == old else attribute.default}
+
+        def values(_: str | None, values: Mapping[str, AttributeValue]) -> dict[str, AttributeValue]:
+            if old is None:
+                return {new if each == name else each: value for each, value in values.items()}
+            return {**values, name: new} if values.get(name) == old else dict(values)
+
+        changed = [each.model_dump() | changes if each.name == name else each for each in config.attributes]
+        return ClassEdit(words, _with(config, attributes=changed), values=values)
+
+
+class RemoveAttribute(Strict):
+    """Removes an attribute with its values."""
+
+    do: Literal["remove_attribute"] = "remove_attribute"
+    name: str
+
+    def __call__(self, config: ProjectConfig) -> ClassEdit:
+        find_attribute(config, self.name)
+        left = tuple(each for each in config.attributes if each.name != self.name)
+        return ClassEdit(
+            f"remove the attribute {self.name}",
+            _with(config, attributes=left),
+            values=lambda _, values: {each: value for each, value in values.items() if each != self.name},
+        )
+
+
+ClassChange = Annotated[
+    AddClass
+    | StyleClass
+    | Order
+    | RenameClass
+    | MergeClasses
+    | RemoveClass
+    | PutAttribute
+    | RenameAttribute
+    | RemoveAttribute,
+    Field(discriminator="do"),
+]
 
 
 def with_classes(config: ProjectConfig, names: Sequence[str]) -> ProjectConfig:
@@ -59,112 +253,6 @@ def with_classes(config: ProjectConfig, names: Sequence[str]) -> ProjectConfig:
     return _with(config, classes=tuple(names), class_styles=styles, attributes=tuple(attributes))
 
 
-def order_classes(config: ProjectConfig, names: Sequence[str]) -> ClassEdit:
-    """Orders the classes."""
-    if sorted(names) != sorted(config.classes):
-        raise ConfigError(f"the order must name each class once: {', '.join(config.classes)}")
-    return ClassEdit("order the classes", _with(config, classes=tuple(names)))
-
-
-def order_attributes(config: ProjectConfig, names: Sequence[str]) -> ClassEdit:
-    """Orders the attributes."""
-    known = {each.name: each for each in config.attributes}
-    if sorted(names) != sorted(known):
-        raise ConfigError(f"the order must name each attribute once: {', '.join(known)}")
-    return ClassEdit("order the attributes", _with(config, attributes=tuple(known[name] for name in names)))
-
-
-def rename_class(config: ProjectConfig, old: str, new: str) -> ClassEdit:
-    """Renames a class; its boxes follow."""
-    require_class(config, old)
-    if new in config.classes:
-        raise ConfigError(
-            f"project {config.name} has the class {new!r} already; to give it the boxes of {old!r}, merge them: "
-            f"annotator classes merge {config.name} {old} --into {new}"
-        )
-    classes = [new if name == old else name for name in config.classes]
-    return _replaced(f"rename the class {old} to {new}", config, {old: new}, classes)
-
-
-def merge_classes(config: ProjectConfig, old: Sequence[str], into: str) -> ClassEdit:
-    """Gives all boxes of some classes to another one, and removes these classes."""
-    if not old:
-        raise ConfigError(f"name the classes whose boxes {into!r} gets")
-    for name in (*old, into):
-        require_class(config, name)
-    if into in old:
-        raise ConfigError(f"{into!r} cannot be merged into itself; name the other classes only")
-    left = [name for name in config.classes if name not in old]
-    return _replaced(f"merge {', '.join(old)} into the class {into}", config, dict.fromkeys(old, into), left)
-
-
-def remove_class(config: ProjectConfig, name: str) -> ClassEdit:
-    """Removes a class with its boxes."""
-    require_class(config, name)
-    new = with_classes(config, [label for label in config.classes if label != name])
-    return ClassEdit(f"remove the class {name}", new, Relabelling(removed=(name,)))
-
-
-def put_attribute(config: ProjectConfig, attribute: Attribute, *, drop: bool = False) -> ClassEdit:
-    """Adds an attribute, or changes the one of this name.
-
-    Boxes without a value get its default, unless only its key changes, or whether it is required.
-
-    Args:
-        drop: remove stored values that do not fit.
-    """
-    known = {each.name: each for each in config.attributes}
-    before = known.get(attribute.name)
-    has_new_default = attribute.default is not None and (before is None or before.default != attribute.default)
-    if has_new_default and attribute.name in MEASURED and attribute.of is not AttributeOf.FRAME:
-        raise ConfigError(
-            f"attribute {attribute.name} cannot have a default: exports measure it for boxes without a value, and a "
-            "default would replace what they measure; leave the default out"
-        )
-    if before is not None and before.of is not attribute.of and AttributeOf.FRAME in (before.of, attribute.of):
-        raise ConfigError(
-            f"attribute {attribute.name} belongs to a {before.of}; its values cannot move to a {attribute.of}; remove "
-            "it first, or choose another name"
-        )
-    is_other_look = before not in (None, attribute) and attribute.has_same_values(before)
-    fills = attribute.default is not None and attribute.of is not AttributeOf.FRAME and not is_other_look
-    filled = (_filled(attribute),) if fills else ()
-    change = Relabelling(filled=filled, fitted=(attribute,) if drop else ())
-    words = f"{'add' if before is None else 'change'} the attribute {attribute.name}"
-    new = _with(config, attributes=tuple((known | {attribute.name: attribute}).values()))
-    return ClassEdit(words, new, change)
-
-
-def rename_attribute(config: ProjectConfig, old: str, new: str) -> ClassEdit:
-    """Renames an attribute; its values follow."""
-    find_attribute(config, old)
-    if any(each.name == new for each in config.attributes):
-        raise ConfigError(f"project {config.name} has the attribute {new!r} already")
-    renamed = [each.model_dump() | {"name": new} if each.name == old else each for each in config.attributes]
-    words = f"rename the attribute {old} to {new}"
-    return ClassEdit(words, _with(config, attributes=renamed), Relabelling(attributes={old: new}))
-
-
-def remove_attribute(config: ProjectConfig, name: str) -> ClassEdit:
-    """Removes an attribute with its values."""
-    find_attribute(config, name)
-    left = tuple(each for each in config.attributes if each.name != name)
-    return ClassEdit(f"remove the attribute {name}", _with(config, attributes=left), Relabelling(dropped=(name,)))
-
-
-def rename_choice(config: ProjectConfig, name: str, old: str, new: str) -> ClassEdit:
-    """Renames a choice, or merges it into another one; values follow."""
-    attribute = find_attribute(config, name)
-    if attribute.kind is not AttributeKind.CHOICE or old not in attribute.choices:
-        raise NotFoundError(f"attribute {name} has no choice {old!r}; it takes {attribute.values_text()}")
-    choices = list(dict.fromkeys(new if choice == old else choice for choice in attribute.choices))
-    default = new if attribute.default == old else attribute.default
-    changed = attribute.model_dump() | {"choices": choices, "default": default}
-    attributes = [changed if each.name == name else each for each in config.attributes]
-    words = f"rename {old} of the attribute {name} to {new}"
-    return ClassEdit(words, _with(config, attributes=attributes), Relabelling(choices={name: {old: new}}))
-
-
 def find_attribute(config: ProjectConfig, name: str) -> Attribute:
     """The attribute of this name."""
     found = next((each for each in config.attributes if each.name == name), None)
@@ -172,11 +260,6 @@ def find_attribute(config: ProjectConfig, name: str) -> Attribute:
         other = alternatives(name, [each.name for each in config.attributes])
         raise NotFoundError(f"project {config.name} has no attribute {name!r}; {other}")
     return found
-
-
-def _filled(attribute: Attribute) -> Filled:
-    assert attribute.default is not None
-    return Filled(name=attribute.name, value=attribute.checked(attribute.default), classes=attribute.classes)
 
 
 def _replaced(words: str, config: ProjectConfig, names: dict[str, str], classes: Sequence[str]) -> ClassEdit:
@@ -191,11 +274,11 @@ def _replaced(words: str, config: ProjectConfig, names: dict[str, str], classes:
         for each in config.attributes
     ]
     new = _with(config, classes=tuple(classes), class_styles=styles, attributes=tuple(attributes))
-    return ClassEdit(words, new, Relabelling(classes=names))
+    return ClassEdit(words, new, names)
 
 
-def _styled(config: ProjectConfig, name: str, style: ClassStyle | None) -> dict[str, ClassStyle]:
-    styles = config.class_styles | {name: style or ClassStyle()}
+def _styled(config: ProjectConfig, name: str, style: ClassStyle) -> dict[str, ClassStyle]:
+    styles = config.class_styles | {name: style}
     return {label: each for label, each in styles.items() if each != ClassStyle()}
 
 

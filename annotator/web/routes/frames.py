@@ -12,20 +12,16 @@ from pydantic import Field
 from annotator.project import History, Origin, Reverted
 from annotator.project.changes import (
     FrameFinalised,
-    FrameReopened,
     ImageBoxesSet,
-    LabelAccepted,
+    LabelChanged,
     LabelDeleted,
-    LabelEdited,
-    LabelRejected,
-    LabelTracked,
     NewLabel,
     Payload,
     TrackId,
 )
 from annotator.project.overview import neighbours
 from annotator.project.records import BoxRecord
-from annotator.types import BoxKind, Suggestion
+from annotator.types import BoxKind, ReviewState, Suggestion
 from annotator.types.errors import HistoryError
 from annotator.web.context import AtProject, Ctx, InProject
 from annotator.web.errors import AnsweredError, error_response
@@ -43,11 +39,7 @@ from annotator.web.schemas import (
 )
 from annotator.workflows.workbench.save_object import apply_changes
 
-DECIDED: dict[str, type[LabelAccepted | LabelRejected | LabelDeleted]] = {
-    "accept": LabelAccepted,
-    "reject": LabelRejected,
-    "delete": LabelDeleted,
-}
+DECIDED = {"accept": ReviewState.ACCEPTED, "reject": ReviewState.REJECTED}
 
 
 class Decide(Schema):
@@ -57,7 +49,9 @@ class Decide(Schema):
     uid: Uid
 
     def payload(self) -> Payload:
-        return DECIDED[self.kind](uid=self.uid)
+        if self.kind == "delete":
+            return LabelDeleted(uid=self.uid)
+        return LabelChanged(uid=self.uid, state=DECIDED[self.kind])
 
 
 class Edit(LabelValues):
@@ -69,7 +63,14 @@ class Edit(LabelValues):
 
     def payload(self) -> Payload:
         box = BoxRecord.of(self.box.box())
-        return LabelEdited(uid=self.uid, label=self.label, box=box, track_id=self.track_id, box_kind=self.box_kind)
+        return LabelChanged(
+            uid=self.uid,
+            state=ReviewState.EDITED,
+            label=self.label,
+            box=box,
+            track_id=self.track_id,
+            box_kind=self.box_kind,
+        )
 
 
 class Track(Schema):
@@ -80,7 +81,7 @@ class Track(Schema):
     track_id: TrackId | None
 
     def payload(self) -> Payload:
-        return LabelTracked(uid=self.uid, track_id=self.track_id)
+        return LabelChanged(uid=self.uid, track_id=self.track_id)
 
 
 class Create(LabelValues):
@@ -121,7 +122,7 @@ class Finalise(Schema):
     kind: Literal["finalise", "reopen"]
 
     def payload(self) -> Payload:
-        return FrameFinalised() if self.kind == "finalise" else FrameReopened()
+        return FrameFinalised(finalised=self.kind == "finalise")
 
 
 ChangeIn = Annotated[Decide | Edit | Track | Create | ImageBoxesIn | Finalise, Field(discriminator="kind")]

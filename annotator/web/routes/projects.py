@@ -6,18 +6,16 @@ from __future__ import annotations
 
 import logging
 import shlex
-from dataclasses import replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Body
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from annotator.files import why_missing
 from annotator.project import (
     BoxRotation,
     ListedProject,
     Project,
-    ProjectConfig,
     ProjectSettings,
     StoredModel,
     StoredRecording,
@@ -25,14 +23,12 @@ from annotator.project import (
     list_projects,
 )
 from annotator.project.classes import edit
-from annotator.project.classes.attributes import Attribute, ClassStyle, Relabelling, Value
-from annotator.project.classes.edit import ClassEdit
+from annotator.project.classes.attributes import Value
 from annotator.project.config import rename_project, set_aside
 from annotator.project.database.store import waiting_at_most
 from annotator.project.overview import ClassList, list_classes
 from annotator.types import DetectorKind
-from annotator.types.errors import AnnotatorError, ConfigError
-from annotator.types.messages import first_problem
+from annotator.types.errors import AnnotatorError
 from annotator.web.context import AtProject, Context, Ctx, InProject, Operator
 from annotator.web.errors import INTERNAL
 from annotator.web.frame_json import STALE, AtFrame
@@ -257,110 +253,6 @@ def remove(name: str, ctx: Ctx, operator: Operator) -> RemovedProject:
     return RemovedProject(folder=place, command=shlex.join(["annotator", "project", "copy", place, name]))
 
 
-ClassNames = Annotated[list[ClassName], Field(min_length=1, max_length=1000)]
-Text = Annotated[str, Field(max_length=1000)]
-
-
-class Add(Schema):
-    """Adds a class, with a colour and a key."""
-
-    do: Literal["add"]
-    name: ClassName
-    style: dict[Literal["colour", "key"], Text | None] = Field(default_factory=dict)
-
-    def edit(self, config: ProjectConfig) -> ClassEdit:
-        return edit.add_class(config, self.name, ClassStyle.model_validate(self.style))
-
-
-class Style(Schema):
-    """Sets colour and key of a class; null = none, what is not given stays."""
-
-    do: Literal["style"]
-    name: ClassName
-    style: dict[Literal["colour", "key"], Text | None]
-
-    def edit(self, config: ProjectConfig) -> ClassEdit:
-        before = config.class_styles.get(self.name, ClassStyle())
-        return edit.style_class(config, self.name, ClassStyle.model_validate(before.model_dump() | self.style))
-
-
-class Rename(Schema):
-    """Renames a class; its boxes follow."""
-
-    do: Literal["rename"]
-    name: ClassName
-    new: ClassName
-
-    def edit(self, config: ProjectConfig) -> ClassEdit:
-        return edit.rename_class(config, self.name, self.new)
-
-
-class Merge(Schema):
-    """Gives the boxes of classes to another class, and removes these classes."""
-
-    do: Literal["merge"]
-    names: ClassNames
-    into: ClassName
-
-    def edit(self, config: ProjectConfig) -> ClassEdit:
-        return edit.merge_classes(config, self.names, self.into)
-
-
-class Remove(Schema):
-    """Removes a class, one with boxes only if they are to be removed, too; or an attribute with its values."""
-
-    do: Literal["remove", "remove_attribute"]
-    name: ClassName
-    with_boxes: bool = False
-
-    def edit(self, config: ProjectConfig) -> ClassEdit:
-        if self.do == "remove_attribute":
-            return edit.remove_attribute(config, self.name)
-        made = edit.remove_class(config, self.name)
-        return made if self.with_boxes else replace(made, change=Relabelling())
-
-
-class Reorder(Schema):
-    """Orders the classes or the attributes."""
-
-    do: Literal["order", "order_attributes"]
-    names: ClassNames
-
-    def edit(self, config: ProjectConfig) -> ClassEdit:
-        reorder = edit.order_classes if self.do == "order" else edit.order_attributes
-        return reorder(config, self.names)
-
-
-class PutAttribute(Schema):
-    """Adds or replaces an attribute, as in `project.json`; `drop` removes values that do not fit."""
-
-    do: Literal["attribute"]
-    attribute: dict[Annotated[str, Field(max_length=64)], Any]
-    drop: bool = False
-
-    def edit(self, config: ProjectConfig) -> ClassEdit:
-        return edit.put_attribute(config, Attribute.model_validate(self.attribute), drop=self.drop)
-
-
-class RenameAttribute(Schema):
-    """Renames an attribute, or one of its choices; values follow."""
-
-    do: Literal["rename_attribute"]
-    name: ClassName
-    choice: ClassName | None = None
-    new: ClassName
-
-    def edit(self, config: ProjectConfig) -> ClassEdit:
-        if self.choice is not None:
-            return edit.rename_choice(config, self.name, self.choice, self.new)
-        return edit.rename_attribute(config, self.name, self.new)
-
-
-ClassChange = Annotated[
-    Add | Style | Rename | Merge | Remove | Reorder | PutAttribute | RenameAttribute, Body(discriminator="do")
-]
-
-
 class ValuesIn(FrameChange):
     """Values to set, null = none; of a label `uid`, or of the frame."""
 
@@ -375,12 +267,9 @@ def classes(at: AtProject) -> ClassList:
 
 
 @router.post("/api/projects/{name}/classes")
-def change_classes_of(at: AtProject, body: ClassChange) -> ProjectInfo:
+def change_classes_of(at: AtProject, body: Annotated[edit.ClassChange, Body()]) -> ProjectInfo:
     """Change the classes or attributes; labels follow. One undo step."""
-    try:
-        at.project.change_classes(body.edit, at.operator)
-    except ValidationError as error:
-        raise ConfigError(first_problem(error)) from error
+    at.project.change_classes(body, at.operator)
     return project_info(at)
 
 

@@ -6,7 +6,6 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -15,7 +14,7 @@ from annotator.formats.frame_names import PictureLabels, typed_value
 from annotator.formats.frame_names import Values as Given
 from annotator.formats.table import FlatFormat
 from annotator.project import REVIEWED, FramePart, NewLabel, Project, WriteContext
-from annotator.project.changes import FrameAttributesSet, LabelAttributesSet, Payload
+from annotator.project.changes import FrameAttributesSet, LabelChanged, Payload
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.classes.values import ValueReader, Values
@@ -65,7 +64,7 @@ def add_attributes(project: Project, found: FoundValues, author: str = AUTHOR) -
         *_attributes(of_frames, known | of_boxes.keys(), AttributeOf.FRAME),
     ]
     for attribute in new:
-        project.change_classes(partial(edit.put_attribute, attribute=attribute), author)
+        project.change_classes(edit.PutAttribute(attribute=attribute), author)
     return tuple(new)
 
 
@@ -117,11 +116,11 @@ def give_values(
         revision = project.frames.get(frame_id).revision
         has, labels = project.frames.attributes_of(frame_id), project.labels.of_frame(frame_id)
         missing, values = _lacking(of_frame, has), of_labels(labels)
-        payloads: list[Payload] = [FrameAttributesSet(attributes=has | missing)] if missing else []
+        payloads: list[Payload] = [FrameAttributesSet(attributes=dict(missing))] if missing else []
         given, kept = len(missing), _differing(of_frame, has)
         for label in labels:
             missing = _lacking(values.get(label.uid, {}), label.attributes)
-            payloads += [LabelAttributesSet(uid=label.uid, attributes=dict(missing))] if missing else []
+            payloads += [LabelChanged(uid=label.uid, attributes=dict(missing))] if missing else []
             given, kept = given + len(missing), kept + _differing(values.get(label.uid, {}), label.attributes)
         if not payloads:
             return 0, kept

@@ -9,7 +9,7 @@ import numpy as np
 
 from annotator.geometry.oriented_box import same_box
 from annotator.project import REVIEWED, Effort, Origin, Project, StoredFrame, StoredLabel
-from annotator.project.changes import LabelMoved, LabelTracked, NewLabel, Payload
+from annotator.project.changes import LabelChanged, NewLabel, Payload
 from annotator.project.overview import read_page
 from annotator.project.records import OWN, BoxRecord
 from annotator.project.sources import covered_by
@@ -78,7 +78,7 @@ def copy_next(
         raise ConfigError(f"nothing was proposed in frame {next_frame.key}: {why}")
     changes: list[tuple[StoredFrame, Sequence[Payload]]] = [(next_frame, events)]
     if is_new:
-        changes.append((frame, [LabelTracked(uid=uid, track_id=track_id)]))
+        changes.append((frame, [LabelChanged(uid=uid, track_id=track_id)]))
     changed = write(project, changes, author, effort, new_tracks=[track_id] if is_new else [])
     copy = next(event.uid for event in events if isinstance(event, NewLabel))
     return Copied(next_frame.id, copy, changed)
@@ -151,7 +151,7 @@ def _corrected(project: Project, frame: StoredFrame, stored: StoredLabel, box: O
         if covered_by([replace(label, box=box)], decided) != [None]:
             return []
         # It stays the same proposal, so its score, its doubt and the effort for it stay with it.
-        return [LabelMoved(uid=label.uid, box=BoxRecord.of(box))]
+        return [LabelChanged(uid=label.uid, box=BoxRecord.of(box))]
     # Of other software's proposals, what it said stays as it is, so the corrected box becomes a proposal of ours.
     said = tuple(each for each in stored.said if each.source != OWN)
     return proposal_events(project, frame, [proposal_like(label, box, label.track_id, said=said)])

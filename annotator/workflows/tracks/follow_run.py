@@ -11,7 +11,7 @@ from itertools import pairwise
 
 from annotator.geometry.oriented_box import same_box
 from annotator.project import REVIEWED, Effort, Project, StoredFrame, StoredLabel, new_action
-from annotator.project.changes import REQUESTED, LabelDeleted, LabelTracked, NewLabel, Payload
+from annotator.project.changes import REQUESTED, LabelChanged, LabelDeleted, NewLabel, Payload
 from annotator.project.overview import read_page
 from annotator.tracking.link import overlap_at_place
 from annotator.types import Label, OrientedBox, Proposal, ReviewState
@@ -281,7 +281,7 @@ class FollowRun:
         if any(label.uid == key.label.uid or label.state in REVIEWED for label in same):
             return []
         replaced = [LabelDeleted(uid=label.uid) for label in same if label.state is ReviewState.PROPOSED]
-        return [*replaced, LabelTracked(uid=key.label.uid, track_id=track_id)]
+        return [*replaced, LabelChanged(uid=key.label.uid, track_id=track_id)]
 
     def _stale(self, item: FollowedObject, track_id: int, read: Mapping[int, StoredFrame]) -> list[tuple[int, str]]:
         """Returns what the run has not confirmed of an object: indices of frames, and uids.

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from annotator.project import REVIEWED, FramePart, Project, StoredFrame, StoredLabel, WriteContext, new_action
-from annotator.project.changes import LinkedLabel, TracksLinked
+from annotator.project.changes import LabelChanged, TracksLinked
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.records import BoxRecord
 from annotator.recordings.kitti import KittiFolder
@@ -155,7 +155,7 @@ class _Recording:
             summary.changed += sum(counts[first : first + FRAMES_PER_WRITE])
         return True
 
-    def _change(self, stored: StoredLabel, frame: StoredFrame, number: int) -> LinkedLabel | None:
+    def _change(self, stored: StoredLabel, frame: StoredFrame, number: int) -> LabelChanged | None:
         label = stored.label
         is_given = _given(stored, frame) is not None
         is_new = not is_given and label.track_id != number
@@ -166,8 +166,8 @@ class _Recording:
         values = self._values.get(label.uid, {})
         if not is_new and not is_moved and not values:
             return None
-        track_id = None if is_given else number
-        return LinkedLabel(uid=label.uid, track_id=track_id, box=record if is_moved else None, attributes=values)
+        tracked = {} if is_given else {"track_id": number}
+        return LabelChanged(uid=label.uid, box=record if is_moved else None, attributes=values, **tracked)
 
     def _values_along_tracks(self) -> dict[str, dict[str, AttributeValue]]:
         """Returns the values of their track that labels lack, by uid.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt, StoredFrame, StoredLabel, WriteContext
-from annotator.project.changes import LabelAttributesSet, LabelDeleted, NewLabel, Payload
+from annotator.project.changes import LabelChanged, LabelDeleted, NewLabel, Payload
 from annotator.project.overview import FramePage, neighbours, read_page
 from annotator.project.sources import covered_by
 from annotator.rcv.starts import WarmStart
@@ -51,7 +51,7 @@ def proposal_events(
     kept = project.labels.kept(frame.id)
     values = [
         # as set by a person, so that the new proposal is kept, too
-        LabelAttributesSet(uid=each.uid, attributes=dict(stored.label.attributes))
+        LabelChanged(uid=each.uid, attributes=dict(stored.label.attributes))
         for stored in labels
         for each in new
         if stored.label.uid in kept and stored.label.label == each.label and _is_replaced(stored, [each])

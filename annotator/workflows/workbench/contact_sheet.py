@@ -20,7 +20,7 @@ from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import every_nth, thin
 from annotator.image_bytes import encoded_image
 from annotator.project import Effort, FramePart, Project, StoredFrame, WriteContext
-from annotator.project.changes import LabelAccepted
+from annotator.project.changes import LabelChanged
 from annotator.rcv.pseudo_view import BACKGROUND, Window, draw_views, pack_colors, point_colors
 from annotator.types import Frame, Label, OrientedBox, PointCloud, PseudoView, ReviewState
 from annotator.types.errors import AnnotatorError, ConfigError
@@ -180,7 +180,7 @@ def accept_boxes(project: Project, boxes: Sequence[SeenBox], author: str, effort
     parts = [
         FramePart(
             frame_id,
-            [LabelAccepted(uid=seen.uid) for seen in chosen],
+            [LabelChanged(uid=seen.uid, state=ReviewState.ACCEPTED) for seen in chosen],
             WriteContext(chosen[0].revision, author, effort=None if number else effort),
         )
         for number, (frame_id, chosen) in enumerate(by_frame.items())

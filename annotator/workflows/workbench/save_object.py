@@ -9,12 +9,12 @@ import numpy as np
 
 from annotator.geometry.oriented_box import same_box
 from annotator.project import REVIEWED, FramePart, Origin, Project, Receipt, WriteContext
-from annotator.project.changes import ImageBoxesSet, LabelChange, LabelEdited, NewLabel, Payload, ViewBoxesSet
+from annotator.project.changes import ImageBoxesSet, LabelChanged, LabelDeleted, NewLabel, Payload, ViewBoxesSet
 from annotator.project.overview import FramePage, read_page
 from annotator.project.progress.reviewed import draft_id
 from annotator.project.records import BoxRecord
 from annotator.rcv.config import RcvConfig
-from annotator.types import Box2D, BoxKind, OrientedBox, Suggestion
+from annotator.types import Box2D, BoxKind, OrientedBox, ReviewState, Suggestion
 from annotator.types.errors import ConfigError, StaleRevisionError
 from annotator.workflows.tracks.propose_boxes import label_of, proposal_events, proposal_like, why_left_out
 from annotator.workflows.views import changes_kind, geometry_of, image_follower, view_followers
@@ -30,7 +30,7 @@ from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import ShownObject, shown_objects
 
 
-def remeasured(page: FramePage, opened: OpenFrame, config: RcvConfig, on_image: ImageBoxesSet) -> list[LabelEdited]:
+def remeasured(page: FramePage, opened: OpenFrame, config: RcvConfig, on_image: ImageBoxesSet) -> list[LabelChanged]:
     """Returns the edits of those labels whose drawn boxes now give another 3D box, except labels corrected since.
 
     Args:
@@ -51,11 +51,10 @@ def remeasured(page: FramePage, opened: OpenFrame, config: RcvConfig, on_image: 
         if same_box(now, label.box) and label.box_kind is on_image.box_kind:
             continue
         edits.append(
-            LabelEdited(
+            LabelChanged(
+                state=ReviewState.EDITED,
                 uid=label.uid,
-                label=label.label,
                 box=BoxRecord.of(now),
-                track_id=label.track_id,
                 image_box=item.image_box,
                 suggestion=label.suggestion,  # nobody has corrected it
                 box_kind=on_image.box_kind,
@@ -174,7 +173,7 @@ def _new_views(page: FramePage, view_boxes: Sequence[ViewBoxesSet]) -> list[Payl
 
 def _label_change(
     page: FramePage, drawn: ObjectDrawn, view_boxes: Sequence[ViewBoxesSet], kind: BoxKind
-) -> NewLabel | LabelEdited | None:
+) -> NewLabel | LabelChanged | None:
     """Returns the creation or the edit of the object's 3D label, or None if there is nothing to change.
 
     A label is created once all four boxes are drawn. An existing label gets a new 3D box only if the drawn boxes have
@@ -195,10 +194,10 @@ def _label_change(
     is_same = same_box(present.label.box, box) and (is_kept or present.label.box_kind is kind)
     if is_same and (present.label.label, present.image_box) == (drawn.image_box.label, drawn.image_box):
         return None
-    return LabelEdited(
+    return LabelChanged(
+        state=ReviewState.EDITED,
         uid=uid,
         box=BoxRecord.of(box),
-        track_id=present.label.track_id,
         suggestion=None if is_kept else suggestion,
         box_kind=None if is_kept else kind,
         label=name,
@@ -254,7 +253,7 @@ def apply_changes(
         FrameError: objects must be remeasured, but the frame cannot be read.
         ProjectError: unknown label or class.
     """
-    if not any(isinstance(entry, ImageBoxesSet | LabelChange) for entry in payloads):
+    if not any(isinstance(entry, ImageBoxesSet | LabelChanged | LabelDeleted) for entry in payloads):
         return project.log.append(frame_id, payloads, context)
     # if another change comes between this read and the append, the append refuses the stale revision
     page = read_page(project, frame_id)
@@ -272,7 +271,7 @@ def _on_other_images(
     project: Project, page: FramePage, payloads: Sequence[Payload]
 ) -> Iterator[tuple[int, list[Payload]]]:
     """Yields what changes of labels imply for the images of other cameras from which they were drawn, by frame."""
-    uids = {entry.uid for entry in payloads if isinstance(entry, LabelChange)}
+    uids = {entry.uid for entry in payloads if isinstance(entry, LabelChanged | LabelDeleted)}
     drawn = {each.made_in for each in page.labels if each.label.uid in uids and each.image_box is not None}
     for other_id in sorted(drawn - {page.frame.id}):
         other = read_page(project, other_id)

@@ -131,9 +131,9 @@ def test_open_pages_show_changed_classes_and_keep_unsaved_work(desk: Desk, wait_
     # typed, but not saved yet
     page.get_by_test_id("field-yaw").fill("12")
     expect(page.get_by_test_id("label-state")).to_have_text("not saved")
-    project.change_classes(lambda config: edit.rename_class(config, "person", "human"), "Cleo")
+    project.change_classes(edit.RenameClass(name="person", new="human"), "Cleo")
     pose = Attribute.model_validate({"name": "pose", "kind": "choice", "choices": ["sitting", "standing"], "key": "o"})
-    project.change_classes(lambda config: edit.put_attribute(config, pose), "Cleo")
+    project.change_classes(edit.PutAttribute(attribute=pose), "Cleo")
     expect(page.get_by_test_id("field-class").locator("option")).to_have_text(["human"])
     expect(page.get_by_test_id("queue-attribute")).to_be_visible()
     expect(page.get_by_test_id("queue-item").first).to_contain_text("human")

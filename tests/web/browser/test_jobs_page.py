@@ -145,7 +145,7 @@ def test_a_dataset_is_exported_and_downloaded(
 def test_statistics_follow_the_work_and_checks_lead_to_its_boxes(shared_page: Page, shop: Shop, room: Project) -> None:
     page, frames = shared_page, room.frames.of()
     floors = Attribute(name="floor", kind=AttributeKind.INTEGER)
-    room.change_classes(lambda config: edit.put_attribute(config, floors), "Ada")
+    room.change_classes(edit.PutAttribute(attribute=floors), "Ada")
     number = label_truth(room, shop.recording, 2)
     box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), np.eye(3), np.array([0.5, 0.5, 1.7]))
     made = [NewLabel("person", box, attributes={"floor": value}) for value in (1, 7, 7, *range(100, 111))]
@@ -177,7 +177,7 @@ def test_statistics_follow_the_work_and_checks_lead_to_its_boxes(shared_page: Pa
     expect(cells.nth(1)).to_have_text("2")
     # a warning opens its box in Review, or its frame in Label
     rain = Attribute(name="rain", kind=AttributeKind.BOOLEAN, of=AttributeOf.FRAME, required=True)
-    room.change_classes(lambda config: edit.put_attribute(config, rain), "Ada")
+    room.change_classes(edit.PutAttribute(attribute=rain), "Ada")
     frame, other = (room.frames.get(each.id) for each in room.frames.of()[:2])
     nowhere = OrientedBox.from_parts(np.array([0.0, -4.0, 3.0]), np.eye(3), np.array([0.5, 0.5, 1.7]))
     made = room.labels.create(frame.id, [NewLabel("person", nowhere)], WriteContext(frame.revision, "Ada"))

@@ -222,11 +222,11 @@ def test_a_failed_save_or_class_is_shown_and_nothing_is_lost(bench: Bench) -> No
     assert len(bench.image_boxes) == 1
     # one whose class is removed is discarded, or gets another
     for kept in (False, True):
-        change(lambda config: edit.add_class(config, "cat"))
+        change(edit.AddClass(name="cat"))
         for _ in ("its box", "itself"):
             page.keyboard.press("Escape")
         page.get_by_test_id("class-cat").click()
-        _save_in_between(bench, lambda: change(lambda config: edit.remove_class(config, "cat")))
+        _save_in_between(bench, lambda: change(edit.RemoveClass(name="cat", with_boxes=True)))
         bench.drag_on_image(2)
         expect(problem).to_contain_text("'cat' is not a class")
         expect(problem.get_by_test_id("save-as").locator("option")).to_have_text(["save it as …", "person"])

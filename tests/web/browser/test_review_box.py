@@ -20,7 +20,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from annotator.project import Project, WriteContext
-from annotator.project.classes.edit import add_class
+from annotator.project.classes.edit import AddClass
 from annotator.types import BoxKind, OrientedBox, ReviewState
 from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector
 
@@ -120,7 +120,7 @@ def test_boxes_are_drawn_by_a_drag_fitted_again_and_copied_from_the_previous_fra
     expect(asked).to_have_attribute("aria-pressed", "false")
     expect(note).to_have_text("")
     # a digit during the drag chooses the class, and a short drag draws nothing
-    desk.project.change_classes(lambda config: add_class(config, "chair"), "Ada")
+    desk.project.change_classes(AddClass(name="chair"), "Ada")
     page = desk.page
     page.reload()
     desk.settled()

@@ -14,7 +14,7 @@ from browser_page import FRAMES, Desk, middle, refuse
 
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.project.classes import edit
-from annotator.project.classes.attributes import Attribute, ClassStyle
+from annotator.project.classes.attributes import Attribute
 from annotator.types import ReviewState
 from annotator.types.errors import FrameError
 
@@ -153,7 +153,7 @@ def test_filters_leave_room_for_the_queue_and_say_what_they_hide(desk: Desk, wai
     page, project = desk.page, desk.project
     project.configure(classes=("person", "chair"))
     helmet = Attribute.model_validate({"name": "helmet", "kind": "boolean"})
-    project.change_classes(lambda config: edit.put_attribute(config, helmet), "Ada")
+    project.change_classes(edit.PutAttribute(attribute=helmet), "Ada")
     theirs = [NewLabel("person", label.box, 0.1, 1234) for label in project.labels.of_frame(desk.frame)]
     project.proposals.bring("a long name of a detector", {desk.frame: theirs})
     page.reload()
@@ -190,10 +190,8 @@ SCHEMA = [
 def with_attributes(desk: Desk) -> None:
     """Gives the project attributes, and opens it anew."""
     for fields in SCHEMA:
-        desk.project.change_classes(
-            lambda config, fields=fields: edit.put_attribute(config, Attribute.model_validate(fields)), "Ada"
-        )
-    desk.project.change_classes(lambda config: edit.add_class(config, "chair", ClassStyle(key="c")), "Ada")
+        desk.project.change_classes(edit.PutAttribute(attribute=Attribute.model_validate(fields)), "Ada")
+    desk.project.change_classes(edit.AddClass(name="chair", style={"key": "c"}), "Ada")
     desk.page.reload()
     desk.settled()
 

@@ -11,7 +11,7 @@ from browser_page import Desk
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import NewLabel, WriteContext
-from annotator.project.changes import LabelTracked
+from annotator.project.changes import LabelChanged
 from annotator.rcv.follow_object import Followed, FollowStop
 from annotator.recordings import open_recording
 from annotator.types import Box2D, Label, Proposal, Quality, ReviewState, Source, Truth
@@ -99,7 +99,7 @@ def test_the_operator_chooses_which_of_two_boxes_of_a_track_stays(desk: Desk, wa
     frame = project.frames.of()[0].id
     one, two, *_ = (label.uid for label in project.labels.of_frame(frame))
     project.log.append(
-        frame, [LabelTracked(uid=one, track_id=7)], WriteContext(project.frames.get(frame).revision, "bob")
+        frame, [LabelChanged(uid=one, track_id=7)], WriteContext(project.frames.get(frame).revision, "bob")
     )
     page.goto(f"/#/{desk.name}/review/{frame}?uid={two}")
     page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{two}"]').wait_for()
@@ -142,7 +142,7 @@ def test_wrong_boxes_are_clicked_out_on_the_sheet_and_the_others_accepted(desk: 
     frames = project.frames.of()[:3]
     for frame in frames:
         uid = next(label.uid for label in project.labels.of_frame(frame.id))
-        project.log.append(frame.id, [LabelTracked(uid=uid, track_id=7)], WriteContext(frame.revision, "Ada"))
+        project.log.append(frame.id, [LabelChanged(uid=uid, track_id=7)], WriteContext(frame.revision, "Ada"))
     first, wrong, last = (of_track(desk, frame.id)[0].uid for frame in frames)
     tiles = page.get_by_test_id("sheet-box")
 
@@ -194,7 +194,7 @@ def test_a_frames_boxes_are_accepted_together_and_later_ones_corrected_alike(des
     frames = project.frames.of()[:3]
     for frame in frames:
         uid = project.labels.of_frame(frame.id)[0].uid
-        project.log.append(frame.id, [LabelTracked(uid=uid, track_id=7)], WriteContext(frame.revision, "Ada"))
+        project.log.append(frame.id, [LabelChanged(uid=uid, track_id=7)], WriteContext(frame.revision, "Ada"))
     before = [of_track(desk, frame.id)[0].box.size_m[0] for frame in frames]
     uid = of_track(desk, frames[0].id)[0].uid
     page.goto("about:blank")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -353,7 +352,7 @@ POSE: dict[str, Any] = {"name": "pose", "kind": "choice", "choices": ["sitting",
 
 def with_attributes(project: Project, *attributes: dict[str, Any]) -> Project:
     for fields in attributes:
-        project.change_classes(partial(edit.put_attribute, attribute=Attribute.model_validate(fields)), "ann")
+        project.change_classes(edit.PutAttribute(attribute=Attribute.model_validate(fields)), "ann")
     return project
 
 

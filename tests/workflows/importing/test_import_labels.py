@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -208,7 +207,7 @@ def project(make_project: Callable[..., Project], generated: Path) -> Project:
     """A project with two labels side by side; one has a value."""
     made = make_project(generated / "people")
     for fields in SCHEMA:
-        made.change_classes(partial(edit.put_attribute, attribute=Attribute.model_validate(fields)), "ann")
+        made.change_classes(edit.PutAttribute(attribute=Attribute.model_validate(fields)), "ann")
     new = [NewLabel("person", box(-0.8), attributes={"pose": "sitting"}), NewLabel("person", box(0.8))]
     rejected = NewLabel("person", box(0.0), state=ReviewState.REJECTED)
     made.labels.create(made.frames.of()[0].id, [*new, rejected], WriteContext(0, "me"))

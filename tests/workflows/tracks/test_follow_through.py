@@ -10,7 +10,7 @@ from moving import ANN, Walking, accept, box_of, labels_of, proposal_of, tracks_
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import NewLabel, Project, WriteContext
-from annotator.project.changes import LabelTracked
+from annotator.project.changes import LabelChanged
 from annotator.types import ReviewState, Source
 from annotator.workflows.tracks.follow_run import Following, follow_from_frame, follow_recording
 from annotator.workflows.workbench.save_object import copy_boxes
@@ -198,7 +198,7 @@ def test_a_proposal_that_a_person_has_given_another_track_is_not_replaced(people
     frame = people.frames.of()[2]
     (uid,) = people.proposals.replace(frame.id, [proposal_of(box_of(0, 2))], WriteContext(0, "rcv", Source.AUTO)).uids
     assert uid is not None
-    people.log.append(frame.id, [LabelTracked(uid=uid, track_id=9)], WriteContext(1, "bob"))
+    people.log.append(frame.id, [LabelChanged(uid=uid, track_id=9)], WriteContext(1, "bob"))
     (track,) = follow(people, Walking(), 0).tracks
     assert tracks_of(people) == ["1", "1?", "9?", "", ""]
     assert track.stops[0].reason.startswith("a box of track 9 is here")

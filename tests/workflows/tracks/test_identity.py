@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from moving import ANN, FRAMES, Walking, box_of, proposal_of, tracks_of
 
 from annotator.project import NewLabel, Project, WriteContext, open_project
-from annotator.project.changes import LabelAccepted, LabelDeleted, LabelRejected, LabelTracked
+from annotator.project.changes import LabelChanged, LabelDeleted
 from annotator.tracking.link import overlap_at_place
 from annotator.types import Label, ReviewState, Source
 from annotator.types.errors import AnnotatorError, HistoryError, TrackTakenError
@@ -50,7 +50,7 @@ STEP = st.one_of(
     st.tuples(st.just("interpolate"), st.integers(1, 3)),
     st.tuples(st.just("track"), NTH, TRACK),
     st.tuples(st.just("merge"), NTH, TRACK, st.booleans()),
-    st.tuples(st.just("decide"), NTH, st.sampled_from([LabelAccepted, LabelRejected, LabelDeleted])),
+    st.tuples(st.just("decide"), NTH, st.sampled_from([ReviewState.ACCEPTED, ReviewState.REJECTED, None])),
     st.tuples(st.just("link")),
     st.tuples(st.just("pass"), INDEX, FOUND),
     st.tuples(st.just("import"), INDEX, FOUND, st.booleans()),
@@ -130,7 +130,7 @@ class Room:
         interpolate(self.project, self.recording, track, ANN)
 
     def do_track(self, at: tuple[int, int], track: int | None) -> None:
-        event = LabelTracked(uid=self.nth(at).uid, track_id=track)
+        event = LabelChanged(uid=self.nth(at).uid, track_id=track)
         self.project.log.append(self.frames[at[0]], [event], self.context(at[0]))
 
     def do_merge(self, at: tuple[int, int], track: int | None, keeps_this: bool) -> None:
@@ -144,12 +144,14 @@ class Room:
                 for label in self.project.labels.of_frame(frame)
                 if label.track_id == error.track_id and label.state is not ReviewState.REJECTED and label.uid != uid
             )
-            tracked = LabelTracked(uid=uid, track_id=track)
+            tracked = LabelChanged(uid=uid, track_id=track)
             events = [LabelDeleted(uid=other.uid), tracked] if keeps_this else [LabelDeleted(uid=uid)]
             self.project.log.append(frame, events, self.context(at[0]))
 
-    def do_decide(self, at: tuple[int, int], event: Any) -> None:
-        self.project.log.append(self.frames[at[0]], [event(uid=self.nth(at).uid)], self.context(at[0]))
+    def do_decide(self, at: tuple[int, int], state: ReviewState | None) -> None:
+        uid = self.nth(at).uid
+        change = LabelDeleted(uid=uid) if state is None else LabelChanged(uid=uid, state=state)
+        self.project.log.append(self.frames[at[0]], [change], self.context(at[0]))
 
     def do_link(self) -> None:
         link_tracks(self.project)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from true_room import Room
 from annotator.geometry.iou import iou_3d
 from annotator.project import Effort, NewLabel, Project, StoredFrame, WriteContext
 from annotator.project.classes.attributes import Attribute
-from annotator.project.classes.edit import put_attribute
+from annotator.project.classes.edit import PutAttribute
 from annotator.project.database.schema import recordings
 from annotator.project.project import create_project
 from annotator.rcv.config import RcvConfig
@@ -252,7 +251,7 @@ STANDING = {"pose": "standing", "height": 1.8, "coat": "red"}
 def valued(room: Room) -> Room:
     """The room, in a project with values of boxes and of tracks."""
     for fields in SCHEMA:
-        room.project.change_classes(partial(put_attribute, attribute=Attribute.model_validate(fields)), ANN)
+        room.project.change_classes(PutAttribute(attribute=Attribute.model_validate(fields)), ANN)
     return room
 
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from annotator.project import NewLabel, Project, StoredFrame, WriteContext, create_project
-from annotator.project.changes import LinkedLabel, TracksLinked
+from annotator.project.changes import LabelChanged, TracksLinked
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, Source
@@ -71,7 +71,7 @@ def test_proposals_are_in_the_selected_order(people: Project) -> None:
     assert shown(Order.CLASS) == [(0, "dog"), (1, "person"), (0, "person")]
     assert shown(Order.TRACK) == shown(Order.TIME), "boxes without a track come frame by frame"
     late = people.labels.of_frame(people.frames.of()[1].id)[0]
-    edit = TracksLinked(labels=(LinkedLabel(uid=late.uid, track_id=4),))
+    edit = TracksLinked(labels=(LabelChanged(uid=late.uid, track_id=4),))
     people.log.append(
         people.frames.of()[1].id, [edit], WriteContext(people.frames.of()[1].revision, "tracks", Source.AUTO)
     )
@@ -198,7 +198,7 @@ def test_empty_boxes_and_unreadable_frames_are_found_in_the_recording(people: Pr
 
 
 def put(project: Project, attribute: Attribute) -> None:
-    project.change_classes(lambda config: edit.put_attribute(config, attribute), "ann")
+    project.change_classes(edit.PutAttribute(attribute=attribute), "ann")
 
 
 def found(project: Project) -> list[tuple[str, str]]:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains, same_box
 from annotator.project import Effort, NewLabel, Project, WriteContext
-from annotator.project.changes import LabelTracked
+from annotator.project.changes import LabelChanged
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import (
@@ -204,7 +204,7 @@ def test_boxes_that_cannot_be_copied_are_refused_with_the_reason(copying: Copyin
         copying.copy(1)
     project.history.undo("ann")
     (other,) = propose(project, copying.ids[1], label_at(0.0).box)
-    project.log.append(copying.ids[1], [LabelTracked(uid=other, track_id=9)], copying.context(1, "bob"))
+    project.log.append(copying.ids[1], [LabelChanged(uid=other, track_id=9)], copying.context(1, "bob"))
     match = "from frame 000000: a proposal of track 9 is here; if it is the same object, give both one track$"
     with pytest.raises(ConfigError, match=match):
         copying.copy(1)
