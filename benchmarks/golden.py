@@ -215,7 +215,7 @@ def _kitti_rows(rows: list[dict[str, str]], result: KittiResult) -> Iterator[Dif
     for row in rows:
         label, metric = names[row["class"].lower()], METRICS[row["metric"]]
         what = " ".join(row[key] for key in ("set", "evaluator", "class", "metric", "difficulty"))
-        curves = result.curves.get(label, {}).get(metric)
+        curves = result.get(label, {}).get(metric)
         curve = None if curves is None else curves[DIFFICULTIES.index(row["difficulty"])]
         for points in ("R11", "R40"):
             ours = float("nan") if curve is None else (curve.r11 if points == "R11" else curve.r40)

@@ -227,15 +227,12 @@ class KittiCurve:
         return float(100.0 * self.samples[1:].mean())
 
 
-@dataclass(frozen=True)
-class KittiResult:
-    """The curves (easy, moderate, hard) by class and metric.
+KittiResult = Mapping[str, Mapping[Metric, Sequence[KittiCurve]]]
+"""The curves (easy, moderate, hard) by class and metric.
 
-    Classes without detections are omitted, and also metrics whose required values are missing in all detections of the
-    class. AOS is missing if any detection, of any class, has no observation angle.
-    """
-
-    curves: Mapping[str, Mapping[Metric, tuple[KittiCurve, KittiCurve, KittiCurve]]]
+Classes without detections are omitted, and also metrics whose required values are missing in all detections of the
+class. AOS is missing if any detection, of any class, has no observation angle.
+"""
 
 
 def evaluate_kitti(detections: KittiRows, truth: KittiRows, in_space: Mapping[str, float] = OFFICIAL) -> KittiResult:
@@ -256,7 +253,7 @@ def evaluate_kitti(detections: KittiRows, truth: KittiRows, in_space: Mapping[st
     }
     oriented = bool((detections.alpha != NO_ALPHA).all())
     covered = covered_share(detections, truth.take(truth.is_of(DONT_CARE)))
-    curves: dict[str, dict[Metric, tuple[KittiCurve, KittiCurve, KittiCurve]]] = {}
+    curves: dict[str, dict[Metric, Sequence[KittiCurve]]] = {}
     for metric, (measure, needed, has_values) in metrics.items():
         overlaps = overlapping(detections, truth, measure)
         for label in NEIGHBOURS:
@@ -264,12 +261,12 @@ def evaluate_kitti(detections: KittiRows, truth: KittiRows, in_space: Mapping[st
                 continue
             excused = covered > needed[label] if metric is Metric.BBOX else np.zeros(len(detections), bool)
             evaluation = _ClassEvaluation(detections, truth, label, needed[label], overlaps, excused)
-            levels = [evaluation.curves(level) for level in range(len(DIFFICULTIES))]
+            precision, similarity = zip(*map(evaluation.curves, range(len(DIFFICULTIES))), strict=True)
             of_class = curves.setdefault(label, {})
-            of_class[metric] = (levels[0][0], levels[1][0], levels[2][0])
+            of_class[metric] = precision
             if metric is Metric.BBOX and oriented:
-                of_class[Metric.AOS] = (levels[0][1], levels[1][1], levels[2][1])
-    return KittiResult(curves)
+                of_class[Metric.AOS] = similarity
+    return curves
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,16 +71,14 @@ def kitti_report(result: KittiResult) -> Report:
             metric: {"R11": [curve.r11 for curve in curves], "R40": [curve.r40 for curve in curves]}
             for metric, curves in by_metric.items()
         }
-        for label, by_metric in result.curves.items()
+        for label, by_metric in result.items()
     }
     rows: list[Row] = [
         (label, m.value, *ap["R11"], *ap["R40"]) for label, by_metric in content.items() for m, ap in by_metric.items()
     ]
     heads = [f"{name} {level}" for name in ("R11", "R40") for level in DIFFICULTIES]
     diagrams = [
-        _kitti_diagram(label, m, curves)
-        for label, by_metric in result.curves.items()
-        for m, curves in by_metric.items()
+        _kitti_diagram(label, m, curves) for label, by_metric in result.items() for m, curves in by_metric.items()
     ]
     return Report(Content(content), ["class", "metric", *heads], rows, diagrams)
 

@@ -55,8 +55,8 @@ def held_by_kitti(values: Values) -> dict[str, float]:
 
 def of_kitti(truncated: float, occluded: int) -> dict[str, AttributeValue]:
     """The values of a row; negative ones mean that they are unknown."""
-    values: dict[str, AttributeValue] = {TRUNCATION: float(truncated), OCCLUSION: occluded}
-    return {name: value for name, value in values.items() if not (isinstance(value, int | float) and value < 0)}
+    values = ((TRUNCATION, float(truncated)), (OCCLUSION, occluded))
+    return {name: value for name, value in values if value >= 0}
 
 
 def dotted(values: Values) -> tuple[str, ...]:

@@ -25,9 +25,8 @@ Track ids are unique within a sequence.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +36,7 @@ from scipy.spatial.transform import RigidTransform
 from annotator.formats import kitti_rows
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, Lost
 from annotator.formats.frame_names import (
+    SIX_DIGITS,
     TRUNCATION,
     ClassWords,
     DatasetNames,
@@ -70,7 +70,7 @@ def read_kitti(path: Path, unit: AngleUnit | None = None) -> dict[str, LabelledF
     if place.is_file() and place.suffix == ".txt":
         if any(len(fields) in (kitti_rows.FIELDS, kitti_rows.FIELDS + 1) for _, fields in text_rows(place)[:1]):
             raise FormatError(place, f"has the labels of one frame; give the folder of all: {place.parent}")
-        frames = tracked_frames(place, None, angles, "{:06d}".format)
+        frames = tracked_frames(place, None, angles)
         if not frames:
             raise FormatError(place, "has no label row")
     else:
@@ -78,7 +78,7 @@ def read_kitti(path: Path, unit: AngleUnit | None = None) -> dict[str, LabelledF
         for stem, file, text in text_files(place, LABELS):
             calibration = calibration_beside(file) if place.is_dir() else None
             shift = None if calibration is None else read_shift(calibration)
-            frames[names.frame(stem)] = frame_of(kitti_rows.read_rows(file, text), file, angles, names, shift)
+            frames[names.frame(stem)] = frame_of(list(kitti_rows.read_rows(file, text)), file, angles, names, shift)
     angles.require()
     return frames
 
@@ -87,24 +87,22 @@ def tracked_frames(
     file: Path,
     text: str | None,
     angles: Angles,
-    name: Callable[[int], str],
     names: DatasetNames = NO_NAMES,
     shift: Float64[np.ndarray, "3"] | None = None,
 ) -> dict[str, LabelledFrame]:
-    """Returns the frames of a tracking file.
+    """Returns the frames of a tracking file, by their number with six digits.
 
     Args:
         text, names, shift: as in `read_rows` and `frame_of`.
-        name: of a frame, by its number.
     """
     rows = defaultdict[str, list[kitti_rows.KittiLabel]](list)
     for row in kitti_rows.read_rows(file, text, tracking=True):
-        rows[name(row.frame or 0)].append(row)
+        rows[f"{row.frame or 0:06d}"].append(row)
     return {frame: frame_of(each, file, angles, names, shift) for frame, each in rows.items()}
 
 
 def frame_of(
-    rows: Iterable[kitti_rows.KittiLabel],
+    rows: Sequence[kitti_rows.KittiLabel],
     file: Path,
     angles: Angles,
     names: DatasetNames,
@@ -118,7 +116,6 @@ def frame_of(
         shift: from rectified camera 0 to the colour camera, metres, by the dataset's calibration; None: that of the
             frame's recording, and without either, the labels are taken as being in the camera frame.
     """
-    rows = list(rows)
     truths = [kitti_rows.row_truth(row, None, file, angles) for row in rows if row.is_solid]
     pose = kitti_rows.label_frame if shift is None else RigidTransform.from_translation(shift)
     named = [replace(truth, label=names.label(truth.label)) for truth in truths]
@@ -346,46 +343,18 @@ IMAGES = "image_02"
 NO_TRACK = -1
 
 
-@dataclass
-class TrackingSequence:
-    """One sequence while it is written.
-
-    Attributes:
-        name: four digits.
-        rows: rows of its label file so far.
-        calibration: calibration of its first frame.
-        fresh: the next unused track id.
-        owners: the class of each track id.
-        untracked: number of boxes that had no track id of their own and got a new one.
-    """
-
-    name: str
-    fresh: int
-    rows: list[str] = field(default_factory=list)
-    calibration: str | None = None
-    owners: dict[int, str] = field(default_factory=dict)
-    untracked: int = 0
-
-    def track_of(self, label: Label, in_frame: set[int]) -> int:
-        """Returns the track id for a label: its own, or a new one if it has none or its own is taken.
-
-        An id is taken if another class of the sequence, or another box of the frame, has it.
-        """
-        track = label.track_id
-        if track is None or track < 0 or track in in_frame or self.owners.setdefault(track, label.label) != label.label:
-            track, self.fresh = self.fresh, self.fresh + 1
-            self.untracked += 1
-        in_frame.add(track)
-        return track
-
-
 class KittiTrackingWriter(KittiWriter):
     """Writes a tracking folder, one sequence per recording. Boxes without a track id get a new one."""
 
     def begin(self) -> None:
         self.words = ClassWords(self.info.classes, reserved=(DONT_CARE,))
         self.places = sequence_ids(self.info.places)
-        self.sequences: dict[str, TrackingSequence] = {}
+        self.label_rows: dict[str, list[str]] = {}
+        self.calibrations: dict[str, str] = {}
+        # the class of each track id of a sequence
+        self.owners: dict[tuple[str, int], str] = {}
+        self.fresh = dict(self.info.free_tracks)
+        self.untracked = 0
 
     def frame_id(self, item: DatasetItem) -> str:
         name, number = self.places[item.recording, item.frame.key]
@@ -393,29 +362,45 @@ class KittiTrackingWriter(KittiWriter):
 
     def frame(self, item: DatasetItem, frame_id: str) -> None:
         name, number = self.places[item.recording, item.frame.key]
-        if name not in self.sequences:
-            self.sequences[name] = TrackingSequence(name, self.info.free_tracks[item.recording])
-        sequence, in_frame = self.sequences[name], set[int]()
+        rows, in_frame = self.label_rows.setdefault(name, []), set[int]()
         for label, row in self.rows(item, levels=True):
-            sequence.rows.append(dump_tracking_line(number, sequence.track_of(label, in_frame), row))
-        sequence.rows += [dump_tracking_line(number, NO_TRACK, dont_care(edges)) for edges in item.unlabelled]
+            track = self._track_of(item.recording, label, in_frame)
+            in_frame.add(track)
+            rows.append(dump_tracking_line(number, track, row))
+        rows += [dump_tracking_line(number, NO_TRACK, dont_care(edges)) for edges in item.unlabelled]
         calibration = self.files(item.frame, f"{IMAGES}/{frame_id}", f"{SCANS}/{frame_id}")
-        if sequence.calibration not in (None, calibration):
+        if self.calibrations.setdefault(name, calibration) != calibration:
             raise FormatError(
                 self.out,
                 f"frame {item.frame.key} has a different calibration from earlier frames, but a KITTI sequence has "
                 "only one; export as kitti",
             )
-        sequence.calibration = calibration
+
+    def _track_of(self, recording: str, label: Label, in_frame: set[int]) -> int:
+        """Returns the track id for a label: its own, or a new one if it has none or its own is taken.
+
+        An id is taken if another class of the sequence, or another box of the frame, has it.
+        """
+        track = label.track_id
+        if (
+            track is not None
+            and track >= 0
+            and track not in in_frame
+            and self.owners.setdefault((recording, track), label.label) == label.label
+        ):
+            return track
+        self.untracked += 1
+        self.fresh[recording] += 1
+        return self.fresh[recording] - 1
 
     def finish(self) -> None:
-        for sequence in self.sequences.values():
-            self.put(f"{TRAINING}/{TRACK_LABELS}/{sequence.name}.txt", "".join(f"{row}\n" for row in sequence.rows))
-            self.put(f"{TRAINING}/{CALIBRATIONS}/{sequence.name}.txt", sequence.calibration or "")
+        for name, rows in self.label_rows.items():
+            self.put(f"{TRAINING}/{TRACK_LABELS}/{name}.txt", "".join(f"{row}\n" for row in rows))
+            self.put(f"{TRAINING}/{CALIBRATIONS}/{name}.txt", self.calibrations[name])
         self.words.write(self.folder)
-        if untracked := sum(sequence.untracked for sequence in self.sequences.values()):
-            note = f"{amount(untracked, 'box')} without a track id got a new one each; `annotator track` links boxes"
-            self.notes = (note,)
+        if self.untracked:
+            boxes = amount(self.untracked, "box")
+            self.notes = (f"{boxes} without a track id got a new one each; `annotator track` links boxes",)
 
 
 def sequence_ids(places: Sequence[tuple[str, str, int]]) -> dict[tuple[str, str], tuple[str, int]]:
@@ -429,7 +414,7 @@ def sequence_ids(places: Sequence[tuple[str, str, int]]) -> dict[tuple[str, str]
     ids: dict[tuple[str, str], tuple[str, int]] = {}
     for number, name in enumerate(names):
         frames = [(key, place) for recording, key, place in places if recording == name]
-        by_key = all(len(key) == 6 and key.isascii() and key.isdigit() for key, _ in frames)
+        by_key = all(SIX_DIGITS.fullmatch(key) for key, _ in frames)
         ids |= {(name, key): (f"{number:04d}", int(key) if by_key else place) for key, place in frames}
     return ids
 
@@ -451,11 +436,7 @@ def read_kitti_tracks(path: Path, unit: AngleUnit | None = None) -> dict[str, La
     for sequence, file, text in text_files(place, TRACK_LABELS):
         calibration = spelled(place.parent / CALIBRATIONS, f"{sequence}.txt")
         shift = read_shift(calibration) if place.is_dir() and calibration.is_file() else None
-        name = partial(_name, names, sequence)
-        frames |= tracked_frames(file, text, angles, name, names, shift)
+        for number, frame in tracked_frames(file, text, angles, names, shift).items():
+            frames[names.frame(f"{sequence}/{number}")] = frame
     angles.require()
     return frames
-
-
-def _name(names: DatasetNames, sequence: str, number: int) -> str:
-    return names.frame(f"{sequence}/{number:06d}")

@@ -173,12 +173,10 @@ def parse_row(fields: list[str], path: Path, line: int, *, tracking: bool = Fals
     first = TRACKING_FIELDS if tracking else 0
     if tracking and len(fields) < first + FIELDS:
         raise FormatError(path, f"a tracking row has {first + FIELDS} fields, not {len(fields)}", line)
-    numbers = [_integer(field, path, line) for field in fields[:first]]
-    if any(abs(number) > MOST_TRACK for number in numbers):
-        frame, track = numbers
-        raise FormatError(
-            path, f"frame and track id must be at most {MOST_TRACK}, not {frame:.6g} and {track:.6g}", line
-        )
+    frame, track = (_integer(field, path, line) for field in fields[:first]) if tracking else (None, None)
+    if frame is not None and track is not None and max(abs(frame), abs(track)) > MOST_TRACK:
+        problem = f"frame and track id must be at most {MOST_TRACK}, not {frame:.6g} and {track:.6g}"
+        raise FormatError(path, problem, line)
     label, *rest = fields[first:]
     if len(rest) not in (FIELDS - 1, FIELDS):
         problem = f"a label row has {FIELDS} fields (or {FIELDS + 1} with a score), not {len(rest) + 1}"
@@ -188,8 +186,8 @@ def parse_row(fields: list[str], path: Path, line: int, *, tracking: bool = Fals
         truncated = -1.0
     # the devkit ignores the case of this type
     label = DONT_CARE if label.lower() == DONT_CARE.lower() else label
-    row = KittiLabel(label, truncated, _integer(rest[1], path, line), *values, line=line)
-    return replace(row, frame=numbers[0], track=numbers[1]) if tracking else row
+    occluded = _integer(rest[1], path, line)
+    return KittiLabel(label, truncated, occluded, *values, frame=frame, track=track, line=line)
 
 
 def _integer(field: str, path: Path, line: int) -> int:
@@ -288,14 +286,11 @@ def upright_row(
     edges, truncated = (OUTSIDE_IMAGE, 1.0) if derived is None else (derived.clipped, derived.truncated)
     alpha, bottom = observation_angle(rotation_y, x, z), y + height / 2
     held = held_by_kitti(attributes)
-    truncated = float(held.get(TRUNCATION, truncated))
-    if OCCLUSION in held:
-        sight = None
-    occluded = (
-        int(held.get(OCCLUSION, VISIBLE))
-        if sight is None
-        else occlusion(box if T is None else box.transformed(T), sight)
-    )
+    truncated = held.get(TRUNCATION, truncated)
+    if sight is None or OCCLUSION in held:
+        occluded = int(held.get(OCCLUSION, VISIBLE))
+    else:
+        occluded = occlusion(box if T is None else box.transformed(T), sight)
     return KittiLabel(label, truncated, occluded, alpha, *edges, height, width, length, x, bottom, z, rotation_y, score)
 
 

@@ -75,7 +75,6 @@ from annotator.text import normal, stem_of
 from annotator.types import Camera, Label, OrientedBox, PointCloud, Truth
 from annotator.types.bases import FileRecord
 from annotator.types.errors import FormatError
-from annotator.types.label import AttributeValue
 
 Vector3 = reading.Bounded3
 Quaternion = reading.Bounded4
@@ -222,24 +221,32 @@ def read_sample_boxes(tables: Path, samples: Set[str]) -> dict[str, tuple[Truth,
 
 
 def _boxes(tables: Path, annotations: Sequence[SampleAnnotation], on_fault: reading.OnFault) -> dict[str, list[Truth]]:
-    """Returns the boxes in the global frame, by the token of their sample."""
+    """Returns the boxes in the global frame, by the token of their sample; see `read_nuscenes`."""
     instances, categories = _table(tables, "instance", Instance), _table(tables, "category", Named)
     # a track is the row's number
     numbers = {token: number for number, token in enumerate(instances)}
     # other tools leave these tables out
-    names = {row.token: row.name for row in _rows_if_any(tables / "attribute.json", Named)}
-    levels = {row.token: row.level for row in _rows_if_any(tables / "visibility.json", Visibility)}
-    require_w_first(tables, annotations, instances)
-    boxes: dict[str, list[Truth]] = {}
+    names = {row.token: row.name for row in _rows(tables / "attribute.json", Named, if_any=True)}
+    levels = {row.token: row.level for row in _rows(tables / "visibility.json", Visibility, if_any=True)}
+    quaternions, boxes = Quaternions(), dict[str, list[Truth]]()
     for row in annotations:
         instance = _linked(tables / ANNOTATIONS, row, instances, "instance", row.instance_token)
         file, category = tables / "instance.json", instance.category_token
         label = _linked(file, instance, categories, "category", category).name
-        values = values_of(row, instance, names, levels)
-        track = track_of(instance, numbers[instance.token])
+        values = from_dotted(names[token] for token in row.attribute_tokens if token in names)
+        if _is_ours(instance):
+            # its levels of visibility are measured, unless they are an attribute as well
+            track = instance.track_id
+        else:
+            # boxes of nuScenes stand upright in the global frame; those of annotator may be tilted
+            quaternions.add(row.rotation)
+            track = numbers[instance.token] if instance.nbr_annotations > 1 else None
+            level = levels.get(row.visibility_token)
+            values |= {} if level is None else {VISIBILITY: level}
         with reading.reported(on_fault), reading.faults(tables / ANNOTATIONS, f"row {row.token}: "):
             box = box_from(row.translation, row.rotation, row.size)
             boxes.setdefault(row.sample_token, []).append(Truth(label, box, track, attributes=values))
+    quaternions.require(tables / ANNOTATIONS)
     return boxes
 
 
@@ -260,36 +267,8 @@ def _table(folder: Path, name: str, model: type[Row]) -> dict[str, Row]:
     return rows
 
 
-def require_w_first(tables: Path, annotations: Sequence[SampleAnnotation], instances: Mapping[str, Instance]) -> None:
-    """The boxes of nuScenes stand upright in the global frame; those of annotator may be tilted."""
-    quaternions = Quaternions()
-    for row in annotations:
-        if row.instance_token not in instances or not _is_ours(instances[row.instance_token]):
-            quaternions.add(row.rotation)
-    quaternions.require(tables / ANNOTATIONS)
-
-
-def values_of(
-    annotation: SampleAnnotation, instance: Instance, names: Mapping[str, str], levels: Mapping[str, str]
-) -> dict[str, AttributeValue]:
-    """Returns the attributes of a box, with names and levels by their tokens; see `read_nuscenes`.
-
-    Levels of visibility in annotator's own exports are measured, unless they are an attribute as well.
-    """
-    values = from_dotted(names[token] for token in annotation.attribute_tokens if token in names)
-    level = None if _is_ours(instance) else levels.get(annotation.visibility_token)
-    return values if level is None else values | {VISIBILITY: level}
-
-
 def _is_ours(instance: Instance) -> bool:
     return "track_id" in instance.model_fields_set
-
-
-def track_of(instance: Instance, number: int) -> int | None:
-    """Returns the track of an instance, of which `number` is the row; see `read_nuscenes`."""
-    if _is_ours(instance):
-        return instance.track_id
-    return number if instance.nbr_annotations > 1 else None
 
 
 def is_seen(box: OrientedBox, K: np.ndarray, width_px: int, height_px: int) -> bool:
@@ -302,12 +281,10 @@ def is_seen(box: OrientedBox, K: np.ndarray, width_px: int, height_px: int) -> b
     return bool(((px > -0.5) & (px < np.array([width_px, height_px]) - 0.5)).all(axis=1).any())
 
 
-def _rows_if_any(path: Path, model: type[Row]) -> list[Row]:
-    return _rows(path, model) if path.is_file() else []
-
-
-def _rows(path: Path, model: type[Row], samples: Set[str] | None = None) -> list[Row]:
-    """Returns the rows of a table; with `samples`, those of these samples."""
+def _rows(path: Path, model: type[Row], samples: Set[str] | None = None, *, if_any: bool = False) -> list[Row]:
+    """Returns the rows of a table; with `samples`, those of these samples; with `if_any`, none without the file."""
+    if if_any and not path.is_file():
+        return []
     with reading.faults(path):
         return list(read_rows(path, model) if samples is None else find_rows(path, model, "sample_token", samples))
 

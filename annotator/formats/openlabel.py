@@ -27,7 +27,7 @@ from annotator.files import open_file
 from annotator.formats import openlabel_document as doc
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, ply
 from annotator.formats.frame_names import DatasetNames, LabelledFrame, add_once, has_frames, in_world, of_recording
-from annotator.formats.reading import Angles, AngleUnit, faults, known_kind, read_model, unique_keys
+from annotator.formats.reading import Angles, AngleUnit, faults, known_kind, read_model
 from annotator.geometry.transforms import Quaternions
 from annotator.text import normal, stem_of
 from annotator.types import BoxKind, Label, ReviewState, Truth
@@ -257,7 +257,7 @@ def read_openlabel(path: Path, angles: AngleUnit | None = None) -> dict[str, Lab
     for file in _documents(path):
         # the parts of a divided dataset share the frames.csv above them
         names = DatasetNames.of(file.parent)
-        content = read_model(file, doc.Document, unique_keys).openlabel
+        content = read_model(file, doc.Document, unique=True).openlabel
         for name, frame in _Reader(file, content, read, quaternions).frames(names):
             add_once(frames, file, name, frame)
     read.require()

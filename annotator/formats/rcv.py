@@ -269,8 +269,8 @@ def object_record(label: Label) -> RcvObject:
     )
 
 
-def label_from(record: RcvObject) -> Label:
-    """Returns the label of a record.
+def truth_from(record: RcvObject) -> Truth:
+    """Returns the object of a record.
 
     Raises:
         ValueError: the rotation is invalid, or quaternion or corners disagree with centre, size and rotation.
@@ -284,7 +284,7 @@ def label_from(record: RcvObject) -> Label:
     if np.abs(corners_4x8(box) - np.array(record.corners)).max() > AGREEMENT * reach:
         raise ValueError("corners disagree with center, size and rotation; correct the corners")
     said = tuple(each.said(_box(each)) for each in record.said)
-    return Label(**_named(record, COMMON), box=box, attributes=record.attributes, said=said)
+    return Truth(record.label, box, record.track_id, record.score, None, record.box_kind, record.attributes, said)
 
 
 def _transform(translation: Vector3, quaternion: Vector4) -> RigidTransform:
@@ -384,16 +384,18 @@ class RcvDataset:
     def __len__(self) -> int:
         return len(self.manifest.frames)
 
-    def named_labels(self, i: int) -> tuple[str, tuple[Label, ...], Values, RigidTransform | None]:
-        """Returns the name `RECORDING/KEY` of frame `i`, its labels, its attributes and `T_world_camera`."""
+    def labelled(self, i: int) -> tuple[str, LabelledFrame]:
+        """Returns the name `RECORDING/KEY` of frame `i`, and its objects."""
         path, record = self._record(i)
-        labels = []
         with faults(path, "world: "):
             pose = None if record.world is None else _transform(record.world.translation, record.world.quaternion)
+        truths = []
         for number, entry in enumerate(record.objects):
             with faults(path, f"objects.{number}: "):
-                labels.append(label_from(entry))
-        return f"{record.recording}/{record.key}", tuple(labels), record.attributes, pose
+                truths.append(truth_from(entry))
+        states = tuple(each.state for each in record.objects)
+        frame = LabelledFrame(truths, in_world(pose), states, record.attributes)
+        return f"{record.recording}/{record.key}", frame
 
     def place(self, i: int) -> tuple[str, int]:
         """Returns the original recording of frame `i`, and its number there."""
@@ -435,16 +437,8 @@ def labelled_frames(path: Path) -> dict[str, LabelledFrame]:
     """Returns the labels of a dataset by `RECORDING/KEY`."""
     dataset, frames = read_rcv(path), dict[str, LabelledFrame]()
     for index in range(len(dataset)):
-        name, labels, values, pose = dataset.named_labels(index)
-        states = tuple(each.state for each in labels)
-        frame = LabelledFrame([truth_of(each) for each in labels], in_world(pose), states, values)
-        add_once(frames, dataset.label_path(index), name, frame)
+        add_once(frames, dataset.label_path(index), *dataset.labelled(index))
     return frames
-
-
-def truth_of(label: Label) -> Truth:
-    """Returns a label as the object that it is."""
-    return Truth(**_named(label, ("label", "box", "track_id", "score", "box_kind", "attributes", "said")))
 
 
 def _inside(folder: Path, name: str, listed_in: Path) -> Path:

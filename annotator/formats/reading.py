@@ -332,14 +332,7 @@ SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 Model = TypeVar("Model", bound=BaseModel)
 
 
-PairsHook = Callable[[list[tuple[str, object]]], object]
-
-
-def unique_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """Builds a dict from a JSON object's pairs.
-
-    Raises KeyError for a repeated key; `json` itself would silently keep only the last value.
-    """
+def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
     content: dict[str, object] = {}
     for key, value in pairs:
         if key in content:
@@ -348,13 +341,9 @@ def unique_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
     return content
 
 
-def read_model(path: Path, model: type[Model], pairs_hook: PairsHook | None = None) -> Model:
-    """Returns the validated content of a JSON file.
-
-    Args:
-        pairs_hook: as in `read_json`.
-    """
-    content = read_json(path, pairs_hook)
+def read_model(path: Path, model: type[Model], *, unique: bool = False) -> Model:
+    """Returns the validated content of a JSON file; `unique` as in `read_json`."""
+    content = read_json(path, unique=unique)
     try:
         return model.model_validate(content)
     except ValidationError as error:
@@ -363,18 +352,18 @@ def read_model(path: Path, model: type[Model], pairs_hook: PairsHook | None = No
         raise FormatError(path, first_problem(error) + others) from error
 
 
-def read_json(path: Path, pairs_hook: PairsHook | None = None) -> object:
+def read_json(path: Path, *, unique: bool = False) -> object:
     """Returns the content of a JSON file.
 
     Unpaired surrogates (`\\ud800`) are refused: they are valid JSON escapes, but cannot be encoded as UTF-8.
 
     Args:
-        pairs_hook: builds an object from its pairs, such as `unique_keys`; a KeyError from it names a repeated key.
+        unique: a repeated key is refused, too; `json` itself would silently keep only the last value.
     """
     with faults(path):
         text = decoded(read_file(path, MAX_BYTES))
     try:
-        content: object = json.loads(text, object_pairs_hook=pairs_hook)
+        content: object = json.loads(text, object_pairs_hook=_unique if unique else None)
         if SURROGATE.search(text) is not None:
             json.dumps(content, ensure_ascii=False).encode()
     except UnicodeEncodeError as error:
@@ -394,7 +383,7 @@ def read_json(path: Path, pairs_hook: PairsHook | None = None) -> object:
 
 def read_object(path: Path) -> dict[str, object]:
     """Returns the object of a JSON file, each key once."""
-    content = read_json(path, unique_keys)
+    content = read_json(path, unique=True)
     if not isinstance(content, dict):
         raise FormatError(path, "must be a JSON object with one entry per frame")
     return content

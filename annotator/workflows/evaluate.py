@@ -152,7 +152,7 @@ def kitti_of(
 ) -> Report:
     """Evaluates rows by frame with KITTI's protocol."""
     result = evaluate_kitti(kitti_rows(detected), kitti_rows(true), RELAXED if relaxed else OFFICIAL)
-    if not result.curves:
+    if not result:
         raise ConfigError(
             f"no detection, of {sum(map(len, detected))} in all, is of a class that KITTI evaluates "
             f"({', '.join(NEIGHBOURS)})"

@@ -150,7 +150,7 @@ def evaluated(found: list[Frame], truth: list[Frame]) -> KittiResult:
 
 def bbox(found: Frame, truth: Frame, level: int = EASY) -> tuple[int, int, float]:
     """For one frame with cars: the number that count, the number found, and the best precision."""
-    curve = evaluated([found], [truth]).curves["Car"][Metric.BBOX][level]
+    curve = evaluated([found], [truth])["Car"][Metric.BBOX][level]
     return curve.objects, curve.found, float(curve.samples[0])
 
 
@@ -197,16 +197,16 @@ def test_matches_and_precision_equal_those_computed_by_hand(
 
 def test_metrics_without_values_are_missing() -> None:
     unknown = {"size": (-1.0, -1.0, -1.0), "bottom": (-1000.0, -1000.0, -1000.0)}
-    curves = evaluated([[CAR.moved(**unknown)]], [[CAR]]).curves
+    curves = evaluated([[CAR.moved(**unknown)]], [[CAR]])
     assert list(curves) == ["Car"]
     assert set(curves["Car"]) == {Metric.BBOX, Metric.AOS}
-    no_angle = evaluated([[CAR], [Box("DontCare", FAR, alpha=-10.0)]], [[CAR], []]).curves["Car"]
+    no_angle = evaluated([[CAR], [Box("DontCare", FAR, alpha=-10.0)]], [[CAR], []])["Car"]
     assert set(no_angle) == {Metric.BBOX, Metric.BEV, Metric.BOX_3D}
-    no_image = evaluated([[CAR.moved(edges=(-1, -1, -1, -1))]], [[CAR]]).curves["Car"]
+    no_image = evaluated([[CAR.moved(edges=(-1, -1, -1, -1))]], [[CAR]])["Car"]
     assert set(no_image) == {Metric.BEV, Metric.BOX_3D}
     assert no_image[Metric.BOX_3D][EASY].found == 0, "a box without a height is ignored in all metrics"
-    assert evaluated([[]], [[CAR]]).curves == {}
-    assert evaluated([], []).curves == {}
+    assert evaluated([[]], [[CAR]]) == {}
+    assert evaluated([], []) == {}
 
 
 def test_bev_and_3d_use_their_own_overlaps() -> None:
@@ -215,22 +215,20 @@ def test_bev_and_3d_use_their_own_overlaps() -> None:
     turned = CAR.moved(rotation_y=math.pi / 2)
     pairs = {"ahead": (ahead, CAR), "turned": (ahead.moved(rotation_y=math.pi), CAR), "crossed": (turned, CAR)}
     found = {
-        name: {
-            m: c[EASY].found for m, c in evaluate_kitti(columns([[a]]), columns([[b]]), RELAXED).curves["Car"].items()
-        }
+        name: {m: c[EASY].found for m, c in evaluate_kitti(columns([[a]]), columns([[b]]), RELAXED)["Car"].items()}
         for name, (a, b) in pairs.items()
     }
     assert found["ahead"] == found["turned"] == {Metric.BBOX: 1, Metric.AOS: 1, Metric.BEV: 1, Metric.BOX_3D: 1}
     assert found["crossed"] == {Metric.BBOX: 1, Metric.AOS: 1, Metric.BEV: 0, Metric.BOX_3D: 0}
     lower = CAR.moved(bottom=(0.0, 2.1, 20.0))
-    result = evaluate_kitti(columns([[lower]]), columns([[CAR]]), RELAXED).curves["Car"]
+    result = evaluate_kitti(columns([[lower]]), columns([[CAR]]), RELAXED)["Car"]
     assert (result[Metric.BEV][EASY].found, result[Metric.BOX_3D][EASY].found) == (1, 0), "0.9 of 2.1 m is below a half"
 
 
 def test_dontcare_areas_affect_only_the_image_metric() -> None:
     truth = [[CAR, Box("DontCare", (500, 0, 900, 300), size=(-1, -1, -1), bottom=(-1000, -1000, -1000))]]
     found = [[CAR, CAR.moved(edges=FAR, bottom=(20.0, 1.5, 20.0))]]
-    curves = evaluated(found, truth).curves["Car"]
+    curves = evaluated(found, truth)["Car"]
     assert [float(curves[m][EASY].samples[0]) for m in (Metric.BBOX, Metric.BEV, Metric.BOX_3D)] == [1.0, 0.5, 0.5]
 
 

@@ -37,10 +37,10 @@ def test_links_out_of_a_dataset_are_refused(tmp_path: Path) -> None:
         file.unlink()
         file.symlink_to(target)
         with pytest.raises(FormatError, match="leads out of the folder"):
-            read_rcv(out).named_labels(0)
+            read_rcv(out).labelled(0)
         file.unlink()
         file.write_bytes(kept)
-    assert len(read_rcv(out).named_labels(0)[1]) == 1
+    assert len(read_rcv(out).labelled(0)[1].truths) == 1
 
 
 def test_boxes_out_of_range_after_the_transform_to_the_camera_are_errors(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import pytest
 from dataset_samples import make_box, make_label, write
 
 from annotator.formats.dataset_writing import DatasetItem, Detector
-from annotator.formats.rcv import COMMON, RcvManifest, labelled_frames, read_rcv
+from annotator.formats.rcv import RcvManifest, labelled_frames, read_rcv
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source, Suggestion
 from annotator.types.errors import FormatError
@@ -61,8 +61,14 @@ def test_frame_reads_back_bit_for_bit(tmp_path: Path, rgb: bool, reflectance: bo
         assert (have is None) == (want is None)
         if have is not None and want is not None:
             np.testing.assert_array_equal(have, want)
-    (read,) = dataset.named_labels(0)[1]
-    assert [getattr(read, name) for name in COMMON] == [getattr(label, name) for name in COMMON]
+    found = dataset.labelled(0)[1]
+    (read,) = found.truths
+    assert (read.label, read.score, read.track_id, read.box_kind) == ("hand", 0.75, 4, BoxKind.SILHOUETTE)
+    assert found.states == (label.state,)
+    (entry,) = json.loads((tmp_path / "out/labels/rec-000001.json").read_text())["objects"]
+    assert (entry["uid"], entry["author"], entry["time_ns"]) == (label.uid, label.author, label.time_ns)
+    assert (entry["source"], entry["expected_iou_loss"]) == ("auto", 0.125)
+    assert entry["suggestion"] == {"detector": "base detector", "fingerprint": "f00d", "corrected": True}
 
 
 def test_json_has_the_box_as_matrix_quaternion_and_corners(tmp_path: Path) -> None:
@@ -141,7 +147,7 @@ def test_errors_of_a_broken_dataset_name_the_place(
     export(out, [DatasetItem("rec", make_frame(), [auto_label()])])
     edit(out / file, **changes)
     with pytest.raises(FormatError, match=re.escape(says)):
-        read_rcv(out).named_labels(0)[1]
+        read_rcv(out).labelled(0)
 
 
 def test_a_frame_that_occurs_twice_is_refused(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from annotator.formats.kitti_rows import DONT_CARE, KittiLabel, kitti_row, read_
 from annotator.formats.kitti_tracklets import read_tracklets
 from annotator.formats.labelcloud import CLASSES_FILE, LABELS, read_labelcloud_file
 from annotator.formats.nuscenes import ANNOTATIONS, is_seen, read_sample_boxes
-from annotator.formats.rcv import MANIFEST, RcvDataset, read_rcv, truth_of
+from annotator.formats.rcv import MANIFEST, RcvDataset, read_rcv
 from annotator.formats.reading import Angles, read_mask, reported, text_rows
 from annotator.formats.sunrgbd import extracted_truth, read_scene_labels
 from annotator.formats.table import BoxFormat
@@ -368,8 +368,9 @@ def _of_argoverse(_recording: Recording, key: str, path: Path, frame: Frame) -> 
 
 def _of_rcv(_recording: Recording, key: str, path: Path, _frame: Frame | None) -> FrameLabels:
     dataset = _whole(_dataset, path.parent.parent / MANIFEST)
-    _, labels, *_ = dataset.named_labels(dataset.manifest.frames.index(key))
-    return FrameLabels([FoundLabel(truth_of(each), path, state=each.state) for each in labels])
+    _, found = dataset.labelled(dataset.manifest.frames.index(key))
+    pairs = zip(found.truths, found.states or (), strict=True)
+    return FrameLabels([FoundLabel(truth, path, state=state) for truth, state in pairs])
 
 
 def _dataset(manifest: Path) -> RcvDataset:

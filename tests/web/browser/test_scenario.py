@@ -7,6 +7,7 @@ from perfect detectors, since the result of a training depends on the processor;
 
 from __future__ import annotations
 
+import json
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -134,9 +135,10 @@ def test_from_an_empty_folder_to_a_downloaded_dataset(
     with zipfile.ZipFile(tmp_path / "dataset.zip") as opened:
         opened.extractall(tmp_path / "dataset")
     dataset = read_rcv(next((tmp_path / "dataset").rglob("dataset.json")).parent)
-    labels = [(label, scenes[dataset.place(n)[1]]) for n in range(len(dataset)) for label in dataset.named_labels(n)[1]]
-    assert {label.author for label, _ in labels} == {"Ada"}
-    ious = [max(iou_3d(label.box, item.box) for item in scene.objects) for label, scene in labels]
+    frames = [(dataset.labelled(n)[1].truths, scenes[dataset.place(n)[1]]) for n in range(len(dataset))]
+    written = [json.loads(dataset.label_path(n).read_text())["objects"] for n in range(len(dataset))]
+    assert {entry["author"] for entries in written for entry in entries} == {"Ada"}
+    ious = [max(iou_3d(each.box, item.box) for item in scene.objects) for truths, scene in frames for each in truths]
     assert len(ious) == drawn + accepted and accepted > 0
     assert np.mean(ious) > 0.6 and min(ious) > 0.25, sorted(ious)
     effort = live.client.get("/api/projects/crowd/statistics").json()["effort"]["by_origin"]
