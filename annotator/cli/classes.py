@@ -71,7 +71,7 @@ def order(project: Project, names: tuple[str, ...], /) -> None:
     Args:
         names: all classes of the project, with spaces or commas between them.
     """
-    _change(project, edit.Order(names=names_in(names, project.config.classes)))
+    _change(project, edit.Reorder(names=names_in(names, project.config.classes)))
 
 
 def order_attributes(project: Project, names: tuple[str, ...], /) -> None:
@@ -81,7 +81,7 @@ def order_attributes(project: Project, names: tuple[str, ...], /) -> None:
         names: all attributes of the project, with spaces or commas between them.
     """
     known = [each.name for each in project.config.attributes]
-    _change(project, edit.Order(do="order_attributes", names=names_in(names, known)), attributes=known)
+    _change(project, edit.Reorder(do="order_attributes", names=names_in(names, known)), attributes=known)
 
 
 def rename(project: Project, old: str, new: str, /) -> None:

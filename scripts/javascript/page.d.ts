@@ -47,17 +47,18 @@ type Attribute = {
 };
 /** A label as far as its attributes are concerned. */
 type AttributeOwner = Pick<Api.LabelJson, "uid" | "label" | "attributes"> & { isNew?: boolean };
-/** Sends one change of the classes; the fields are those of `annotator.web.routes.projects`. */
+/** Sends one change of the classes; the fields are those of `annotator.project.classes.edit`. */
 type ChangeClasses = (
   body:
-    | Api.Add
-    | Api.Style
-    | Api.Rename
-    | Api.Merge
-    | Api.Remove
+    | Api.AddClass
+    | Api.StyleClass
     | Api.Reorder
+    | Api.RenameClass
+    | Api.MergeClasses
+    | Api.RemoveClass
     | Api.PutAttribute
-    | Api.RenameAttribute,
+    | Api.RenameAttribute
+    | Api.RemoveAttribute,
 ) => Promise<unknown>;
 type Route = { project: string | null; mode: string; frame: number | null; query: URLSearchParams };
 type Direction = "next" | "previous";

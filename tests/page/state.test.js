@@ -269,7 +269,7 @@ test("a long import is polled less and less often", async () => {
     return plain(fn, 0);
   };
   try {
-    const get = async () => ({ jobs: waits.length < 9 ? [job] : [{ ...job, state: "done" }] });
+    const get = async () => [{ ...job, state: waits.length < 9 ? "running" : "done" }];
     const app = fakeApp({ get, state: { jobs: [job] } });
     await new Promise((resolve) => followImports(app, resolve));
   } finally {

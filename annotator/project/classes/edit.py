@@ -69,7 +69,7 @@ class StyleClass(Strict):
         return ClassEdit(f"set the look of the class {self.name}", _with(config, class_styles=styles))
 
 
-class Order(Strict):
+class Reorder(Strict):
     """Orders the classes or the attributes."""
 
     do: Literal["order", "order_attributes"] = "order"
@@ -227,7 +227,7 @@ class RemoveAttribute(Strict):
 ClassChange = Annotated[
     AddClass
     | StyleClass
-    | Order
+    | Reorder
     | RenameClass
     | MergeClasses
     | RemoveClass
