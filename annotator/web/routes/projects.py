@@ -23,7 +23,7 @@ from annotator.project import (
     list_projects,
 )
 from annotator.project.classes import edit
-from annotator.project.classes.attributes import Value
+from annotator.project.classes.attributes import AttributeName, Value
 from annotator.project.config import rename_project, set_aside
 from annotator.project.database.store import waiting_at_most
 from annotator.project.overview import ClassList, list_classes
@@ -257,7 +257,7 @@ class ValuesIn(FrameChange):
     """Values to set, null = none; of a label `uid`, or of the frame."""
 
     uid: Uid | None = None
-    values: Annotated[dict[ClassName, Value | None], Field(min_length=1, max_length=100)]
+    values: Annotated[dict[AttributeName, Value | None], Field(min_length=1, max_length=100)]
 
 
 @router.get("/api/projects/{name}/classes")
