@@ -112,7 +112,8 @@ def nms_3d(
     """Greedy non-maximum suppression within each class, by exact 3D IoU.
 
     Boxes are processed in order of descending score. A box is dropped if its IoU with a kept box of its class is larger
-    than `iou_threshold`. Of equal scores, the lower index comes first, so the result is deterministic.
+    than `iou_threshold`. Of equal scores, the lower index comes first, so the result is deterministic. Scores
+    are any finite numbers, the threshold is in 0..1.
 
     Returns:
         Indices of the kept boxes, best score first.

@@ -67,6 +67,7 @@ def aligned_box(xyz_m: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "3 
 
     Raises:
         GeometryError: no points, or points that are not finite.
+        ValueError: `rotation` is not a rotation.
     """
     if len(xyz_m) == 0:
         raise GeometryError("a box needs at least 1 point, not 0")
@@ -155,7 +156,7 @@ def tightest_box(
     rotations: Float64[np.ndarray, "k 3 3"],
     up: Float64[np.ndarray, "3"] | None = None,
 ) -> OrientedBox:
-    """The box of least volume that contains all points, found by local search.
+    """The box of least volume that contains all points (camera frame, metres), found by local search.
 
     Args:
         rotations: where the search starts; columns = box axes.

@@ -46,9 +46,10 @@ Polygon = Float64[np.ndarray, "_ d"]
 
 
 def box_on_image(camera: Camera, box: OrientedBox, label: str, min_side_px: float = MIN_SIDE_PX) -> Box2D | None:
-    """The 2D box, pixels, of the visible part of a 3D box (camera frame), at least `NEAR_M` in front of the camera.
+    """The 2D box, pixels, of the visible part of a 3D box (camera frame).
 
-    Distortion is taken into account. None if nothing is visible, or if a side is shorter than `min_side_px`.
+    Visible is what is at least `NEAR_M` in front of the camera and within the image; distortion is taken into account.
+    None if nothing is visible, or if a side is shorter than `min_side_px`.
     """
     polygons = _visible_faces(camera, box_corners(box))
     xy, last_px = np.concatenate(polygons), _last_px(camera)
@@ -61,7 +62,7 @@ def box_on_image(camera: Camera, box: OrientedBox, label: str, min_side_px: floa
 
 
 def edges_at_border(camera: Camera, box: Box2D, margin_px: float) -> tuple[bool, bool, bool, bool]:
-    """Which edges of a 2D box lie within a margin of the image border or beyond it: left, right, top, bottom."""
+    """Which edges of a 2D box lie within a margin (pixels) of the image border, or beyond: left, right, top, bottom."""
     right, bottom = _last_px(camera) - margin_px
     first = margin_px - 0.5
     return bool(box.x_min <= first), bool(box.x_max >= right), bool(box.y_min <= first), bool(box.y_max >= bottom)
@@ -323,7 +324,8 @@ class Sight:
     def hidden(self, box: OrientedBox, margin_m: float = 0.0) -> Hidden:
         """Counts the rays towards a box, and those that end in front of it (slab test of Kay and Kajiya, 1986).
 
-        Points within `margin_m` of the box's front, along their ray, count as part of it.
+        The box is in the camera frame. Points within `margin_m` metres of its front, along their ray, count as part of
+        it.
         """
         xyz = self._xyz_m[self._near(box)]
         R = box.rotation.astype(np.float32)

@@ -32,8 +32,8 @@ STEP = 1e-30j
 def distort(coefficients: Coefficients, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
     """The distorted image coordinates of ideal coordinates (x/z, y/z).
 
-    NaN outside the radius up to which the radial model is monotonic. Further out, the polynomials decrease again, so
-    points far outside the image would project into it.
+    They have the dtype of `xy`, and are NaN outside the radius up to which the radial model is monotonic. Further out,
+    the polynomials decrease again, so points far outside the image would project into it.
     """
     return np.stack(distort_planes(coefficients, xy[:, 0], xy[:, 1]), axis=1)
 

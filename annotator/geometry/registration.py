@@ -42,6 +42,8 @@ def register(
     Points without a counterpart in the cloud, and other objects in it, do no harm.
 
     Args:
+        points: of the object, in its own coordinates.
+        start: the first pose, from these to the cloud's coordinates.
         reach_m: distance within which a point's counterpart is looked for at first.
         up: unit vector; if given, the rotation changes about it only.
     """

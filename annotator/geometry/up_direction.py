@@ -212,8 +212,9 @@ def _prior(directions: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray, "k"]:
 def _refined(
     up: Float64[np.ndarray, "3"], planes: _Planes, normals: Float64[np.ndarray, "n 3"], weight: float
 ) -> tuple[Float64[np.ndarray, "3"], float]:
-    """The direction that fits all level and upright surfaces best (least squares), and the share of the surface that
-    keeps it from turning in its least certain direction.
+    """The direction that fits all level and upright surfaces best (least squares), a unit vector.
+
+    With it, the share of the surface that keeps it from turning in its least certain direction.
     """
     held = 0.0
     for _ in range(4):

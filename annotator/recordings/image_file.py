@@ -124,6 +124,7 @@ def _colors(path: Path) -> tuple[bytes, np.ndarray]:
 
 
 def read_depth(path: Path) -> UInt16[np.ndarray, "h w"]:
+    """Reads a depth image in its raw units."""
     return _plane(path, np.uint16, "a depth image", "save the sensor's depth as a 16-bit grey PNG, millimetres")
 
 
@@ -134,6 +135,7 @@ FAR_M, FAR_SHARE = 8.192, 0.95
 
 
 def decode_depth(raw: UInt16[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """Returns the metres of a SUN RGB-D depth image: its millimetres are rotated left by three bits."""
     return in_metres(raw >> np.uint16(3) | raw << np.uint16(13), 1000.0)
 
 
@@ -180,7 +182,10 @@ THREADS = 4
 
 
 class VideoFile:
-    """A video file's images, by number in the order of display. It can be used by several threads."""
+    """A video file's images, by number in the order of display. It can be used by several threads.
+
+    `size` is their width and height, pixels.
+    """
 
     def __init__(self, path: Path) -> None:
         import av

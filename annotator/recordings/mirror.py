@@ -110,7 +110,9 @@ class Mirror(Recording):
 
     def frame(self, i: int) -> Frame:
         key = self.key(i)
-        self.store.fetch(self.shared)
+        # one by one: those that have arrived stay if a later one fails
+        for path in self.shared:
+            self.store.fetch([path])
         self.store.fetch(self.of_key.get(key, []), key)
         with self.store.url_in_errors():
             return self.opened.frame(i)

@@ -83,7 +83,12 @@ class GravityFile(Strict):
 
 @dataclass(frozen=True, eq=False)
 class RgbdCamera:
-    """A camera file's content; the transforms are from the frame of the depth camera, or of the clouds."""
+    """A camera file's content.
+
+    Attributes:
+        depth_scale: depth units per metre.
+        T_color_depth, T_camera_cloud: from the frame of the depth camera, or of the clouds, to the colour camera's.
+    """
 
     path: Path
     camera: Camera
@@ -94,6 +99,7 @@ class RgbdCamera:
 
     @property
     def size(self) -> tuple[int, int]:
+        """Width and height of its images, pixels."""
         return self.camera.width_px, self.camera.height_px
 
 
@@ -212,7 +218,8 @@ PNG_HEAD_BYTES = 4096
 class RgbdFolder(Recording):
     """A `Recording` of an Open3D RGB-D folder.
 
-    The frames are assumed to be in time order, as is the convention.
+    The frames are assumed to be in time order, as is the convention. `times_ns` are the capture times in
+    `timestamps.csv`; None without that file.
     """
 
     color: Path

@@ -71,7 +71,11 @@ class Poses:
 class TumRgbd(Recording):
     """A `Recording` in TUM's format. Frames are named by their colour images, and have the times of these.
 
-    `images` are the colour and the depth image of each frame, relative to the folder.
+    Attributes:
+        images: the colour and the depth image of each frame, relative to the folder.
+        tolerance_ns: largest difference in time of an image and its partner.
+        unpaired: number of colour images without a depth image within the tolerance.
+        poses: None if the direction of gravity is not known.
     """
 
     images: tuple[tuple[str, str], ...] = field(repr=False)

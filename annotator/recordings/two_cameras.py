@@ -47,6 +47,7 @@ def registered(
     Args:
         depth_m: z in the depth camera's frame, metres; zero, negative, NaN and infinite values mean no measurement.
         depth_camera, color_camera: of the images' sizes.
+        T_color_depth: from the depth camera's frame to the colour camera's, metres.
 
     Returns:
         The cloud in the colour camera's frame, in the order of the depth image's pixels. Each point has the colour of

@@ -80,6 +80,14 @@ def test_a_jpeg_of_too_many_pixels_is_refused():
         decode_image(data, cv2.IMREAD_COLOR)
 
 
+@pytest.mark.shared
+def test_real_images_are_complete(shared: Path):
+    files = [path for path in (shared / "data").rglob("*") if path.suffix in (".png", ".jpg")]
+    assert len(files) > 100
+    for path in files:
+        decode_image(path.read_bytes(), cv2.IMREAD_UNCHANGED)
+
+
 COLOR = np.random.default_rng(5).integers(0, 256, (8, 12, 3)).astype(np.uint8)
 COLOR[0, 0] = 255
 

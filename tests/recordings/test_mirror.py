@@ -83,6 +83,20 @@ def test_failed_downloads_leave_no_files_and_are_not_counted(bucket: str, tmp_pa
     mirror.frame(2)
 
 
+def test_shared_files_that_have_arrived_stay_if_a_later_one_fails(bucket: str, tmp_path: Path) -> None:
+    import fsspec
+
+    memory = fsspec.filesystem("memory")
+    memory.pipe({"/bucket/people/notes/all.txt": b"of nobody", "/bucket/people/notes/more.txt": b"lost"})
+    mirror = open_mirror(bucket, tmp_path, 50 * MEGABYTE)
+    used = mirror.store.used_bytes
+    memory.rm("/bucket/people/notes/more.txt")
+    with pytest.raises(RecordingError, match=r"notes/more\.txt: cannot be reached"):
+        mirror.frame(0)
+    assert next(tmp_path.rglob("all.txt")).read_bytes() == b"of nobody"
+    assert held_bytes(tmp_path) == mirror.store.used_bytes >= used + len(b"of nobody")
+
+
 def test_a_frame_larger_than_the_limit_is_an_error(bucket: str, tmp_path: Path) -> None:
     mirror = open_mirror(bucket, tmp_path, 5000)
     with pytest.raises(RecordingError, match="raise --cache-mb"):

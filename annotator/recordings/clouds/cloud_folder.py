@@ -71,6 +71,7 @@ class CloudCamera:
     kitti: KittiCalibration | None = None
 
     def to_camera(self, raw: RawCloud) -> PointCloud:
+        """Returns a cloud in the camera frame."""
         transform = self.T_camera_cloud.apply if self.kitti is None else self.kitti.to_camera
         xyz_m = transform(raw.xyz_m)
         return PointCloud(xyz_m.astype(np.float32), rgb=raw.rgb, reflectance=raw.reflectance)
@@ -78,7 +79,10 @@ class CloudCamera:
 
 @dataclass(frozen=True, eq=False)
 class CloudFolder(Scanned):
-    """A `Recording` of a folder of point clouds, in time order; labels are in the clouds' own frame."""
+    """A `Recording` of a folder of point clouds, in time order; labels are in the clouds' own frame.
+
+    `times_ns` are the capture times in `timestamps.csv`; None without that file.
+    """
 
     clouds: Path
     images: Path | None

@@ -94,6 +94,7 @@ def _finite(values: np.ndarray) -> Float[np.ndarray, "..."] | None:
 
 
 def _native(values: np.ndarray) -> np.ndarray:
+    """Returns values in the machine's byte order, NaNs with the same bits."""
     return values.astype(values.dtype.newbyteorder("="), copy=False)
 
 

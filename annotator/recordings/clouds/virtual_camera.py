@@ -140,7 +140,7 @@ NEAREST_M = 0.1
 
 
 def virtual_image(camera: Camera, cloud: PointCloud) -> UInt8[np.ndarray, "h w 3"]:
-    """Renders the points as squares, nearest in front, in their colours; without colours, coloured by distance."""
+    """Renders points (camera frame) as squares, nearest in front, in their colours; without these, by distance."""
     import cv2
 
     px = project(camera, cloud.xyz_m)
@@ -166,8 +166,9 @@ def virtual_image(camera: Camera, cloud: PointCloud) -> UInt8[np.ndarray, "h w 3
 
 
 def has_virtual_image(frame: Frame) -> bool:
-    """True if a frame's image, without a correction, is rendered from its cloud, so that the two cannot lie beside each
-    other.
+    """True if a frame's image is rendered from its cloud, so that the two cannot lie beside each other.
+
+    The frame is as its recording gives it, without a correction.
     """
     return np.array_equal(frame.rgb, virtual_image(frame.camera, frame.cloud))
 

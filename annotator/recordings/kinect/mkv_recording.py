@@ -74,6 +74,7 @@ FORMATS: dict[str, int | None] = {"MJPG": None, "NV12": 3, "YUY2": 4, "BGRA": 8}
 
 
 def decode_color(fourcc: str, data: bytes, width_px: int, height_px: int) -> UInt8[np.ndarray, "h w 3"]:
+    """Returns the RGB image in the bytes of one block."""
     import cv2
 
     halves = FORMATS[fourcc]
@@ -99,6 +100,11 @@ class AzureKinect(Recording):
 
     A frame is a moment with a colour and a depth image, named by the number of its colour image. Moments with only one
     of the two are not frames. Times are those of the device's clock.
+
+    Attributes:
+        captures: the colour and the depth image of each frame.
+        start_ns: device time of the recording's start.
+        inertial: the accelerometer's blocks, sorted by time.
     """
 
     captures: tuple[tuple[Block, Block], ...]

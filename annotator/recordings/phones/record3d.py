@@ -68,8 +68,10 @@ def phone_cloud(
     """Returns the coloured points of a phone's depth image, and the depth in the colour image's pixels.
 
     Args:
+        camera: the colour camera.
         depth_m: z, metres; zero, negative, NaN and infinite values mean no measurement.
         confidence: of each depth pixel; None if it was not recorded.
+        min_confidence: pixels with less are left out; None for the default.
     """
     least = MIN_CONFIDENCE if min_confidence is None else min_confidence
     if confidence is not None:

@@ -52,6 +52,7 @@ class StrayScanner(Recording):
     """A `Recording` of Stray Scanner. Frames are named by the numbers in `odometry.csv`.
 
     `rows` are those of `odometry.csv`, as text by column; so many clockwise quarter `turns` bring the images upright.
+    Pixels of less than `min_confidence` are left out; None for the default.
     """
 
     rows: tuple[dict[str, str], ...] = field(repr=False)

@@ -287,7 +287,10 @@ SQLITE_MAGIC = b"SQLite format 3\0"
 
 
 class SqliteFile(BagFile):
-    """A ROS 2 bag in an SQLite file, the only use of SQLite outside `project`. A message's offset is its row."""
+    """A ROS 2 bag in an SQLite file, the only use of SQLite outside `project`. A message's offset is its row.
+
+    `are_compressed`: each message is compressed with zstd.
+    """
 
     def __init__(self, path: Path, are_compressed: bool = False) -> None:
         super().__init__(path)

@@ -254,7 +254,8 @@ class BagCamera:
 def read_camera_info(content: Any, is_rectified: bool, first: Any = None) -> BagCamera:
     """Returns the camera of a decoded message.
 
-    `first`: calibration of the first camera of a stereo pair, if the second one, this, names its tf frame.
+    `is_rectified`: its images are. `first`: calibration of the first camera of a stereo pair, if the second one, this,
+    names its tf frame.
     """
     K, P = _field(content, "K", 9), _field(content, "P", 12) if is_rectified else np.zeros(0)
     if not K.any():

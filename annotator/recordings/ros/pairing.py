@@ -75,7 +75,10 @@ PARTS = 4
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Numbers of images and of their clouds, by the image's time, and both times; notes: what has no partner."""
+    """Message numbers of images and of their clouds, sorted by the image's time, and both times.
+
+    The notes say what has no partner, and what is wrong with the times.
+    """
 
     image: Int64[np.ndarray, "n"]
     cloud: Int64[np.ndarray, "n"]

@@ -64,6 +64,7 @@ class RosBag(Recording):
         camera_frame: tf frame of the camera; "" = that of its images.
         fixed_frame: tf frame by which clouds are moved; None if tf does not know how the rig moves.
         unit_m: metres of a unit of depth, as RealSense's own topics say; None for other bags.
+        scale: of the clouds' reflectance and colours.
         given_origin: the option `origin`, for clouds without images.
     """
 

@@ -41,7 +41,7 @@ GREY = ("mono8", "mono16", "8UC1", "16UC1")
 
 @dataclass(frozen=True, eq=False)
 class ImageTopic:
-    """A topic of images; frame, encoding, size and `is_depth` (see `describe`) are of its first readable message."""
+    """A topic of images; tf frame, encoding, size and `is_depth` (see `describe`) are of its first readable message."""
 
     topic: Topic
     frame: str
@@ -285,7 +285,14 @@ def _unit_topic(bag: Bag, chosen: Chosen | None) -> Topic | None:
 
 
 class TopicReport(Strict):
-    """A topic of a bag: its type as `package/Name`, its use, "" if none, and the option that names it ("--points")."""
+    """A topic of a bag.
+
+    Attributes:
+        type: `package/Name` for all encodings.
+        rate_hz: messages per second; None for fewer than two.
+        use: what it is used for; "" = not used, or not chosen yet.
+        option: that can name it, such as "--points"; "" = none.
+    """
 
     name: str
     type: str

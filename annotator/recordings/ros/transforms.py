@@ -52,8 +52,12 @@ def frame_in(topic: Topic, content: Any) -> str:
 
 @dataclass(eq=False)
 class Links:
-    """The links known around a time: static poses, parents, poses by time, and what is wrong with a pose that was left
-    out, each by the child's name.
+    """The links known around a time, each by the child's name.
+
+    Attributes:
+        static: poses in the parent, at all times.
+        poses: poses in the parent by time, ns: place, metres, and quaternion.
+        invalid: what is wrong with a pose that was left out.
     """
 
     static: dict[str, RigidTransform] = field(default_factory=dict)
@@ -82,6 +86,7 @@ class Links:
             self.poses.setdefault(child, {})[time_ns] = (place_m, quaternion)
 
     def transform(self, target: str, source: str, time_ns: int) -> RigidTransform:
+        """Returns `T_target_source` at a time."""
         if target == source:
             return RigidTransform.identity()
         above_source, above_target = list(self._ancestors(source)), list(self._ancestors(target))

@@ -62,6 +62,14 @@ def calib_path(folder: Path) -> Path:
     return flat if flat.is_file() else root_of(folder) / "calib" / "000003.txt"
 
 
+def test_invalid_points_are_left_out(folder: Path):
+    broken = SCAN.copy()
+    broken[::7, 1] = np.nan
+    scan_path(folder).write_bytes(broken.tobytes())
+    inside = by_formula(SCAN)[1] & np.isfinite(broken).all(axis=1)
+    assert len(open_recording(folder).frame(0).cloud) == inside.sum()
+
+
 def test_a_missing_calibration_is_an_error_of_its_frame_or_of_the_recording(folder: Path):
     path = calib_path(folder)
     path.unlink()
