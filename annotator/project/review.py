@@ -103,7 +103,6 @@ class QueueItem:
     uid: str | None
     label: str | None
     doubt: float | None
-    track_id: int | None = None
     sources: tuple[str, ...] = ()
 
 
@@ -133,13 +132,11 @@ def waiting(
     first = _of_frames(select(labels.c.id)).where(is_open).order_by(*order).limit(most)
     further = select(func.json_group_array(func.json_array(_BEHIND.c.score, func.coalesce(_BEHIND.c.of_source, OWN))))
     further_of = further.where(_BEHIND.c.behind == labels.c.uid).scalar_subquery().label("further")
-    columns = (labels.c.uid, labels.c.label, labels.c.track_id, labels.c.of_source, further_of, doubt.label("doubt"))
+    columns = (labels.c.uid, labels.c.label, labels.c.of_source, further_of, doubt.label("doubt"))
     query = _of_frames(select(*FRAME_COLUMNS, *columns)).where(labels.c.id.in_(first)).order_by(*order)
     with store.read() as connection:
         found = tuple(
-            QueueItem(
-                StoredFrame(*row[: len(FRAME_COLUMNS)]), row.uid, row.label, row.doubt, row.track_id, _sources(row)
-            )
+            QueueItem(StoredFrame(*row[: len(FRAME_COLUMNS)]), row.uid, row.label, row.doubt, _sources(row))
             for row in connection.execute(query)
         )
         total = connection.execute(_of_frames(select(func.count())).where(is_open)).scalar_one()

@@ -77,7 +77,7 @@ def test_changes_are_one_step_and_all_or_none(live: Live, project: Project) -> N
     edited = found["labels"][1]["box"]
     assert iou_3d(Box3DJson(**edited).box(), Box3DJson(**BOX).box()) == pytest.approx(1)
     refused = change(live.client, 4, {"kind": "reject", "uid": one}, {"kind": "accept", "uid": "nobody"})
-    assert refused.status_code == 400 and "nobody is not in this frame" in refused.json()["error"]["message"]
+    assert refused.status_code == 404 and "nobody is not in this frame" in refused.json()["error"]["message"]
     assert state(live.client)["labels"][0]["state"] == "accepted"
     undone = live.client.post(f"{ROOM}/undo", json={}).json()
     assert (undone["frame"], undone["done"]) == (1, "edit person (frame 000000)")

@@ -177,6 +177,7 @@ def test_values_are_set_and_the_queue_is_filtered_by_them(live: Live, project: P
     assert stale["state"]["labels"][0]["attributes"] == {"pose": "standing"}
     wrong = set_values(live, 3, 400, uid=first[0], values={"pose": "flying"})
     assert wrong["error"]["message"] == 'person: pose must be one of sitting, standing, not "flying"'
+    assert "deleted; reload" in set_values(live, 3, 404, uid="gone", values={"pose": None})["error"]["message"]
     assert live.client.get(f"{ROOM}/classes").json()["values"] == {"pose": 1}
 
     def queued(query: str) -> list[str]:

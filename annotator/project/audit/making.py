@@ -225,7 +225,7 @@ def _change(write: Write, payload: LabelChanged, *, is_linked: bool = False) -> 
     if terms.attributes and (name != before or (is_other and not is_linked)):
         of_track = _values_of_tracks(write, [payload.track_id]).get(payload.track_id, {}) if is_other else {}
         values = after_edit(terms.attributes, values, before, name, of_track)
-    if payload.attributes:
+    if "attributes" in payload.model_fields_set:  # also without any: none may be what a person wants
         values = _with_values(values, payload.attributes, terms.attributes_of(name), name)
         is_own = write.context.source is Source.MANUAL and write.context.effort_target in (None, payload.uid)
         changed["values_set"] = int(is_own or row["values_set"])

@@ -27,7 +27,7 @@ from annotator.project.database.store import Store, driver_of
 from annotator.project.records import BoxRecord
 from annotator.project.rows import Row, Terms
 from annotator.types import OrientedBox, ReviewState, Source
-from annotator.types.errors import HistoryError, ProjectError, TrackTakenError
+from annotator.types.errors import HistoryError, NotFoundError, ProjectError, TrackTakenError
 from annotator.types.messages import alternatives
 
 # Frames with boxes of a class, hidden ones included.
@@ -146,11 +146,11 @@ class Write:
         """The row of a label of the frame's moment.
 
         Raises:
-            ProjectError: there is none.
+            NotFoundError: there is none.
         """
         row = self.row("labels", uid)
         if row is None or row["moment_id"] != self.moment_id:
-            raise ProjectError(
+            raise NotFoundError(
                 f"{self.where}: label {uid} is not in this frame; it may have been deleted; reload the frame"
             )
         return row

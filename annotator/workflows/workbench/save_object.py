@@ -249,9 +249,9 @@ def apply_changes(
 
     Raises:
         StaleRevisionError: the frame was changed in the meantime.
-        NotFoundError: no such frame.
+        NotFoundError: no such frame or label.
         FrameError: objects must be remeasured, but the frame cannot be read.
-        ProjectError: unknown label or class.
+        ProjectError: unknown class.
     """
     if not any(isinstance(entry, ImageBoxesSet | LabelChanged | LabelDeleted) for entry in payloads):
         return project.log.append(frame_id, payloads, context)

@@ -281,14 +281,17 @@ def test_copied_and_followed_boxes_have_all_values(valued: Room) -> None:
     assert len(found) >= 4 and found == [SITTING] * len(found)
 
 
-def test_a_copied_box_takes_over_values_that_somebody_has_set(valued: Room) -> None:
+@pytest.mark.parametrize(("given", "pose"), [({"pose": "standing"}, "standing"), ({"height": None}, "sitting")])
+def test_a_copied_box_takes_over_values_that_somebody_has_set_or_removed(
+    valued: Room, given: dict[str, str | None], pose: str
+) -> None:
     people, second = valued.project, valued.frames[1].id
-    uid = valued.accept_box(0, valued.box(0))
+    uid = valued.accept_box(0, valued.box(0), attributes=SITTING)
     (old,) = valued.propose(1, valued.box(1))
-    people.labels.set_attributes(second, old, {"pose": "standing"}, valued.context(1))
+    people.labels.set_attributes(second, old, given, valued.context(1))
     copy(valued, 0, uid)
     (copied,) = valued.labels(1)
-    assert (copied.uid != old, copied.attributes["pose"]) == (True, "standing")
+    assert (copied.uid != old, copied.attributes["pose"]) == (True, pose)
     # the next pass leaves it alone
     valued.propose(1, valued.box(1))
     assert [label.uid for label in valued.labels(1)] == [copied.uid]
