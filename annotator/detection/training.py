@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -30,7 +31,7 @@ from annotator.detection.trained import (
 )
 from annotator.detection.ultralytics_api import api, pick_device
 from annotator.detection.weights import write_network
-from annotator.files import read_text_file
+from annotator.files import lock_folder, read_text_file
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError, DetectionError, FormatError
 
@@ -226,9 +227,14 @@ def train_detector(
         begun = state.run
     resumed = None if state is None else checkpoint
     watch = Watch(dataset, manifest, config, role, out, device, begun, weights, resumed, progress, stop)
-    if state is None or state.epoch + 1 < watch.epochs:
-        _run(watch, 0 if state is None else state.epoch + 1)
-    return _finish(watch)
+    lock = lock_folder(out)  # nobody takes this run for one that was killed
+    try:
+        if state is None or state.epoch + 1 < watch.epochs:
+            _run(watch, 0 if state is None else state.epoch + 1)
+        return _finish(watch)
+    finally:
+        if lock is not None:
+            os.close(lock)
 
 
 def _run(watch: Watch, epochs_done: int) -> None:

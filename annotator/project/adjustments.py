@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from sqlalchemy import Connection, bindparam, select, update
 
-from annotator.project.adjusting import Adjustment, adjustment_in, adjustment_row, unit_up
-from annotator.project.audit.events import Effort
+from annotator.project.adjusting import Adjustment, adjustment_in, adjustment_row, moving, unit_up
+from annotator.project.audit.events import Effort, read_events
 from annotator.project.audit.writing import Receipt, Write, WriteContext
 from annotator.project.database.schema import adjustments, events, frames, recordings
 from annotator.project.log import Writer, new_action, require_writable
@@ -54,6 +54,13 @@ class Adjustments:
         query = query.join(events, events.c.id == adjustments.c.event_id).where(adjustments.c.event_id > event_id)
         with self.writer.store.read() as connection:
             return tuple((row[0], row[1], row[2]) for row in connection.execute(query.order_by(adjustments.c.event_id)))
+
+    def corrected(self) -> frozenset[int]:
+        """Recordings whose calibration is, or once was, corrected: their views may have been drawn of other clouds."""
+        with self.writer.store.read() as connection:
+            made = read_events(connection, select(events).where(events.c.kind == KIND))
+            changed = {(int(row.key), (row.after or {}).get("correction")) for event in made for row in event.rows}
+        return frozenset(id for id, correction in changed if correction and moving(correction) is not None)
 
     def set_up(
         self, recording_id: int, up: Sequence[float] | np.ndarray | None, author: str, basis: Basis = NO_BASIS

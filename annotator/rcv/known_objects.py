@@ -176,24 +176,23 @@ def boxes_of_known(frame: Frame, truths: Sequence[Truth], config: RcvConfig) -> 
             visible.append((index, image_box))
     frame = frame_with_normals(frame, [box for index, box in visible if points[index]])
 
-    def drawn_on(view: PseudoView, own: int) -> tuple[Box2D, ...]:
-        """The boxes of all objects that a view shows well enough, `own` first; empty if that one is not shown."""
-        inside = [int(contains(truth.box, view.xyz_m).sum()) for truth in truths]
-        shown = [index for index, count in enumerate(inside) if is_shown(count, points[index])]
-        drawn = {index: project_box(view, truths[index].box, truths[index].label) for index in shown}
-        boxes = [drawn[index] for index in sorted(drawn, key=lambda index: index != own)]
-        return tuple(box for box in boxes if box is not None) if drawn.get(own) is not None else ()
+    def drawn_on(view: PseudoView, index: int) -> Box2D | None:
+        """The box of an object, if a view shows it well enough."""
+        inside = int(contains(truths[index].box, view.xyz_m).sum())
+        return project_box(view, truths[index].box, truths[index].label) if is_shown(inside, points[index]) else None
 
-    def drawn_first(view: PseudoView, own: int) -> Box2D | None:
-        return next(iter(drawn_on(view, own)), None)
+    def others_on(view: PseudoView, own: int) -> list[Box2D]:
+        boxes = [drawn_on(view, index) for index in range(len(truths)) if index != own]
+        return [box for box in boxes if box is not None]
 
     objects, without_views = [], []
     for index, image_box in visible:
-        drawn = draw_object(frame, image_box, partial(drawn_first, own=index), config)
+        drawn = draw_object(frame, image_box, partial(drawn_on, index=index), config)
         if drawn is None:
             without_views.append(truths[index].label)
         else:
-            objects.append(replace(drawn, views=tuple(replace(d, boxes=drawn_on(d.view, index)) for d in drawn.views)))
+            views = [replace(d, boxes=(d.box, *others_on(d.view, index))) for d in drawn.views]
+            objects.append(replace(drawn, views=tuple(views)))
     on_image = tuple(box for _, box in visible)
     return KnownFrame(on_image, tuple(objects), tuple(outside), tuple(hidden), tuple(without_views))
 

@@ -16,12 +16,13 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import UInt8
 from pydantic import TypeAdapter
 from scipy.optimize import linear_sum_assignment
 
@@ -32,6 +33,7 @@ from annotator.formats.frame_names import PictureLabels
 from annotator.formats.reading import faults, write_text
 from annotator.geometry.iou import box_iou
 from annotator.geometry.outline import MIN_SIDE_PX, box_on_image
+from annotator.geometry.projection import in_frustum
 from annotator.image_bytes import encoded_image
 from annotator.project import Project, ViewBoxes, ViewGeometry
 from annotator.project.changes import (
@@ -47,8 +49,11 @@ from annotator.project.records import Rotation3
 from annotator.rcv.axes import frame_with_normals
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.known_objects import first_views, next_views
-from annotator.rcv.pseudo_view import side_axes
-from annotator.types import Box2D, Camera, Label, PseudoView, ReviewState
+from annotator.rcv.measure import make_pair
+from annotator.rcv.pseudo_view import Window, drawn_points, render_window, side_axes
+from annotator.rcv.recursion import cut_cloud
+from annotator.rcv.teach import MIN_POINTS
+from annotator.types import Box2D, Camera, Frame, Label, PointCloud, PseudoView, ReviewState
 from annotator.types.bases import Strict
 from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.frame_source import FrameSource, orientation_for
@@ -174,6 +179,46 @@ def drawn_of(boxes: Mapping[str, Box2D], drawn: Sequence[Box2D]) -> dict[str, in
     rows, columns = linear_sum_assignment(overlap, maximize=True)
     pairs = zip(rows.tolist(), columns.tolist(), strict=True)
     return {uids[row]: column for row, column in pairs if overlap[row, column] >= SAME_IOU}
+
+
+Steps = Mapping[int, Sequence[ViewBoxes]]
+SizePx = Callable[[ViewBoxes], tuple[int, int]]
+
+
+def redrawn(frame: Frame, view: ViewBoxes, steps: Steps, size_px: SizePx) -> UInt8[np.ndarray, "h w 3"] | None:
+    """The picture that a stored view shows of a frame; None if its drawn boxes enclose hardly a point.
+
+    Args:
+        view: with geometry and image box.
+        steps: all views of the same object, by step.
+        size_px: gives the width and height of a view's picture.
+    """
+    geometry = view.geometry
+    assert geometry is not None and geometry.image_box is not None
+    frustum = frame.cloud.select(in_frustum(frame.camera, frame.cloud.xyz_m, geometry.image_box))
+    width_px, height_px = size_px(view)
+    axes, drawn = np.array(geometry.axes), frustum
+    if view.step:
+        drawn = _cut(frustum, steps, size_px)
+        keep = drawn_points(len(drawn), max(width_px, height_px))
+        drawn = drawn if keep is None else drawn.select(keep)
+    if view.boxes:
+        low, high = spans_m(view).T
+        on_view = drawn.xyz_m @ axes[:2].T
+        if np.count_nonzero(((on_view >= low) & (on_view <= high)).all(axis=1)) < MIN_POINTS:
+            return None
+    window = Window(np.array(geometry.origin_m), geometry.metres_per_px, width_px, height_px)
+    return render_window(drawn, axes, window)
+
+
+def _cut(frustum: PointCloud, steps: Steps, size_px: SizePx) -> PointCloud:
+    """The points in the boxes of the first step, as in `rcv.known_objects.next_views`; all if these boxes are gone."""
+    pair = front_and_side(steps.get(0, ()))
+    if pair is None:
+        return frustum
+    views = [v.geometry.view(np.zeros((*size_px(v)[::-1], 3), np.uint8)) for v in pair if v.geometry is not None]
+    front, side = (replace(view.boxes[0], score=1.0) for view in pair)
+    return cut_cloud(frustum, make_pair(views, front, side).box, views)
 
 
 COCO = "coco.json"

@@ -18,7 +18,7 @@ from annotator.detection.trained import TrainedModel
 from annotator.detection.ultralytics_api import api
 from annotator.detection.weights import load_weights
 from annotator.detection.yolo import YoloDetector, candidates
-from annotator.types.errors import ConfigError
+from annotator.types.errors import ConfigError, DetectionError
 
 pytestmark = pytest.mark.slow
 
@@ -69,6 +69,16 @@ def test_raw_predictions_agree_with_torch(random_weights: dict[str, Path], name:
         np.testing.assert_allclose(answer[:, :4], reference[:, :4], atol=0.1, rtol=1e-3)
         np.testing.assert_allclose(answer[:, 4:7], reference[:, 4:7], atol=2e-3)
         np.testing.assert_allclose(answer[:, 7:], reference[:, 7:], atol=0.1, rtol=1e-3)
+
+
+def test_openvino_goes_on_after_a_failed_call(random_weights: dict[str, Path]) -> None:
+    """Requests that still ran would refuse the next call."""
+    network = opened(random_weights["yolo11n"], "openvino")
+    images = np.random.default_rng(0).integers(0, 256, (4, 320, 320, 3), np.uint8)
+    expected = network.predict([images])
+    with pytest.raises(DetectionError, match="OpenVINO cannot run the detector"):
+        network.predict([images, np.zeros((1, 96, 96, 3), np.complex128)])
+    assert np.array_equal(network.predict([images])[0], expected[0])
 
 
 def test_the_spread_is_the_standard_deviation_of_the_predicted_distribution(random_weights: dict[str, Path]) -> None:

@@ -13,6 +13,7 @@ from annotator.detection.config import TrainingConfig
 from annotator.detection.trained import RunRecord, TrainedModel, read_trained
 from annotator.detection.training import TrainingProgress, TrainingStoppedError, Watch, train_detector, trainer_settings
 from annotator.detection.ultralytics_api import api, pick_device
+from annotator.files import remove_abandoned
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError, DetectionError, FormatError
 
@@ -67,6 +68,7 @@ def test_an_interrupted_run_resumes(tiny_dataset: Path, tmp_path: Path, monkeypa
 
     def interrupt(progress: TrainingProgress) -> None:
         seen.append(progress)
+        assert not remove_abandoned(out), "no other process takes it for a killed run"
         if progress.epoch == 1 and progress.batch == 1:
             raise KeyboardInterrupt
 

@@ -134,3 +134,15 @@ def test_an_untouched_proposal_counts_as_untouched_after_a_correction(project: P
 def test_a_correction_is_finite_and_bounded(wrong):
     with pytest.raises(ValueError, match="finite"):
         Correction(**wrong)
+
+
+def test_a_recording_was_corrected_whatever_has_followed(project: Project, recording: StoredRecording):
+    project.adjustments.set_up(recording.id, [0.0, -1.0, 0.0], "ann")
+    assert project.adjustments.corrected() == frozenset()
+    project.adjustments.correct(recording.id, TURNED, "ann")
+    for change in (
+        lambda: project.adjustments.set_up(recording.id, [0.0, 0.0, -1.0], "ann"),
+        lambda: project.adjustments.correct(recording.id, NO_CORRECTION, "ann"),
+    ):
+        change()
+        assert project.adjustments.corrected() == {recording.id}

@@ -12,6 +12,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from functools import lru_cache
 from typing import Any
 
@@ -159,13 +160,13 @@ class OpenVinoNetwork:
         def keep(request: Any, number: int) -> None:
             answers[number] = request.get_output_tensor().data.copy()
 
-        for queue in queues.values():
-            queue.set_callback(keep)
-        for number, part in enumerate(parts):
-            queues[part.shape].start_async({0: part}, number)
-        for queue in queues.values():
-            queue.wait_all()
-        return [answers[number] for number in range(len(parts))]
+        with ExitStack() as stack:
+            for queue in queues.values():
+                queue.set_callback(keep)
+                stack.callback(queue.wait_all)  # after a failure, too: a busy queue takes no other call
+            for number, part in enumerate(parts):
+                queues[part.shape].start_async({0: part}, number)
+        return [answers.pop(number) for number in range(len(parts))]  # the queues keep `answers` up to the next call
 
     def _queues(self, shapes: set[tuple[int, ...]], streams: int) -> dict[tuple[int, ...], Any]:
         """OpenVINO's queues of requests, one per shape; new shapes are compiled in parallel."""

@@ -220,13 +220,17 @@ class PackedDetectors:
     def load(self, threads: int | None) -> Detectors:
         """Loads the detectors from a temporary folder."""
         with TemporaryDirectory() as temporary:
-            models = []
-            for number, (model, files) in enumerate(
-                zip((self.trained.image, self.trained.view), self.files, strict=True)
-            ):
-                folder = Path(temporary) / str(number)
-                folder.mkdir()
-                for name, content in files.items():
-                    (folder / name).write_bytes(content)
-                models.append(replace(model, path=folder / model.path.name))
-            return replace(self.trained, image=models[0], view=models[1]).load(threads)
+            image, view = (
+                replace(model, path=Path(temporary) / role / model.path.name)
+                for role, model in (("image", self.trained.image), ("view", self.trained.view))
+            )
+            try:
+                for model, files in zip((image, view), self.files, strict=True):
+                    model.path.parent.mkdir()
+                    for name, content in files.items():
+                        (model.path.parent / name).write_bytes(content)
+            except OSError as error:
+                raise DetectionError(
+                    f"{temporary}: cannot be written ({error.strerror}); free some space, or set TMPDIR"
+                ) from error
+            return replace(self.trained, image=image, view=view).load(threads)

@@ -18,6 +18,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Sequence, S
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from jaxtyping import UInt8
 from pydantic import Field
 
 from annotator.detection.dataset import TrainingSample
@@ -33,7 +34,7 @@ from annotator.types.detector import Picture
 from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.training.base_detector import generated_views
-from annotator.workflows.views import front_and_side, outlines, spans_m, undrawn, views_by_object
+from annotator.workflows.views import front_and_side, outlines, redrawn, spans_m, undrawn, views_by_object
 
 DRAWN, TAUGHT, PROJECTED = "drawn", "taught", "projected"
 
@@ -177,7 +178,7 @@ def view_samples(
     project: Project, material: Material, rcv: RcvConfig, config: SampleConfig, skip: Skip
 ) -> Iterator[TrainingSample]:
     """Yields drawn pseudo-views, then views along random axes of every object whose 3D extent is known."""
-    for view, sample in _drawn(project, material.views_of_kind):
+    for view, sample in _drawn(project, material.views_of_kind, skip):
         yield replace(sample, boxes=view.boxes, label_uids=_drawn_uids(view))
     for stored, labels, taught in taught_views(project, material, rcv, config, skip):
         uids = tuple(labels[index].uid for index in taught.objects if index < len(labels))
@@ -185,13 +186,41 @@ def view_samples(
         yield TrainingSample(drawn.rgb, taught.boxes, frame_group(stored), TAUGHT, uids, drawn.look_px)
 
 
-def _drawn(project: Project, views: Sequence[ViewBoxes]) -> Iterator[tuple[ViewBoxes, TrainingSample]]:
-    """Yields drawn pseudo-views, each with a sample of the picture that it was drawn on, which has no boxes yet."""
+def _drawn(project: Project, views: Sequence[ViewBoxes], skip: Skip) -> Iterator[tuple[ViewBoxes, TrainingSample]]:
+    """Yields drawn pseudo-views, each with a sample of its picture that has no boxes yet."""
     groups = {stored.id: frame_group(stored) for stored in project.frames.of()}
-    for view in views:
+    for view, rgb in drawn_pictures(project, views, skip):
         group = f"view/{view.view_id[:12]}" if view.frame_id is None else groups[view.frame_id]
         look_px = 0 if view.geometry is None else view.geometry.look_px
-        yield view, TrainingSample(project.views.load(view.view_id), (), group, DRAWN, (), look_px)
+        yield view, TrainingSample(rgb, (), group, DRAWN, (), look_px)
+
+
+def drawn_pictures(
+    project: Project, views: Sequence[ViewBoxes], skip: Skip
+) -> Iterator[tuple[ViewBoxes, UInt8[np.ndarray, "_ _ 3"]]]:
+    """Yields labelled pseudo-views with their pictures, which are new where a calibration was corrected.
+
+    Views that the correction leaves without points in their boxes are passed to `skip`.
+    """
+    corrected = project.adjustments.corrected()
+    moved = {stored.id for stored in project.frames.of(sorted(corrected))} if corrected else set()
+    again: dict[int, list[ViewBoxes]] = defaultdict(list)
+    for view in views:
+        if view.frame_id in moved and view.geometry is not None and view.geometry.image_box is not None:
+            again[view.frame_id].append(view)
+        else:
+            yield view, project.views.load(view.view_id)
+    for stored, frame in labelled_frames(project, sorted(again), skip):
+        objects = views_by_object(again[stored.id])
+        for view in again[stored.id]:
+            assert view.geometry is not None and view.geometry.image_box is not None
+            steps = objects.get((stored.id, view.geometry.image_box), {})
+            rgb = redrawn(frame, view, steps, lambda each: project.views.size(each.view_id))
+            if rgb is not None:
+                yield view, rgb
+            else:
+                path = project.views.path(view.view_id)
+                skip(stored, FrameError(path, "the corrected calibration leaves no points in its box", "draw it again"))
 
 
 def taught_views(
@@ -318,7 +347,7 @@ def agnostic_samples(
         start: the class-agnostic detector that the training starts from.
     """
     # the drawn box of a view's own object, which is the first of a view that belongs to an object
-    for view, sample in _drawn(project, material.views):
+    for view, sample in _drawn(project, material.views, skip):
         if len(view.boxes) <= 1 or (view.geometry is not None and view.geometry.image_box is not None):
             yield replace(sample, boxes=_boxes_of(view, material, start, sample.rgb))
     for stored, labels, taught in taught_views(project, material, rcv, config, skip, class_agnostic=True):

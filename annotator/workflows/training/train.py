@@ -16,6 +16,7 @@ from annotator.detection.dataset import MANIFEST_NAME, DatasetManifest, Training
 from annotator.detection.pretrained import check_start
 from annotator.detection.trained import LAST, TrainedModel, resumable
 from annotator.detection.training import TrainingProgress, TrainingStoppedError, train_detector
+from annotator.files import remove_abandoned
 from annotator.project import Project, StoredFrame, StoredModel
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import FrameError
@@ -139,13 +140,16 @@ def unless_stopped(samples: Iterable[TrainingSample], check_stop: Callable[[], N
 
 
 def remove_leftovers(project: Project, role: DetectorKind) -> None:
-    """Removes what killed trainings of a role left: incomplete training sets, and runs that cannot be resumed."""
+    """Removes what killed trainings of a role left: incomplete training sets, and runs that cannot be resumed.
+
+    What another process writes stays: it holds the folder's lock.
+    """
     folder = project.models_folder / role.value
     registered = {model.path.parent.resolve() for model in project.models.all(role)}
     # a finished run has no checkpoints
     runs = [path.parent for path in folder.glob("*/weights") if resumable(path / LAST) is None]
     for path in (*folder.glob(f".{DATASET}.*.unfinished"), *(run for run in runs if run.resolve() not in registered)):
-        shutil.rmtree(path, ignore_errors=True)
+        remove_abandoned(path)
 
 
 # Objects are small in camera images, hence the larger input; and there are fewer images than pseudo-views.

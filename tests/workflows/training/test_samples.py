@@ -22,8 +22,10 @@ from annotator.rcv.teach import TaughtObject, TaughtView, teach_views
 from annotator.recordings import open_recording
 from annotator.synthetic.snapshots import snapshot
 from annotator.types import (
+    NO_CORRECTION,
     Box2D,
     BoxKind,
+    Correction,
     DetectorKind,
     OrientedBox,
     Proposal,
@@ -41,6 +43,7 @@ from annotator.workflows.training.samples import (
     Material,
     SampleConfig,
     agnostic_samples,
+    drawn_pictures,
     gather,
     image_samples,
     view_samples,
@@ -115,6 +118,43 @@ def test_a_few_accepted_boxes_do_not_change_the_majority_kind(people: Project) -
     accept(people, 2)
     accept(people, 4)
     assert gather(people).kind is BoxKind.BOX
+
+
+def stored_pictures(project: Project) -> dict[str, np.ndarray]:
+    return {view.view_id: project.views.load(view.view_id) for view in project.boxes.on_views()}
+
+
+def test_drawn_views_are_drawn_anew_after_a_correction(people: Project) -> None:
+    """One that moves nothing gives every picture bit for bit: they depend on nothing else."""
+    material, (recording,) = simulate(people, BoxKind.SILHOUETTE, every=3), people.recordings.all()
+    before = stored_pictures(people)
+    people.adjustments.correct(recording.id, Correction(time_offset_s=0.001), "me")
+    again = {view.view_id: rgb for view, rgb in drawn_pictures(people, material.views, never)}
+    assert all(np.array_equal(again[view], before[view]) for view in before)
+    people.adjustments.correct(recording.id, Correction((0.0, 0.03, 0.0), (0.05, 0.0, 0.0)), "me")
+    moved = {view.view_id: rgb for view, rgb in drawn_pictures(people, people.boxes.on_views(), never)}
+    assert moved.keys() == before.keys() and len(before) == 24
+    assert all(moved[view].shape == before[view].shape for view in before)
+    assert not any(np.array_equal(moved[view], before[view]) for view in before), "the colours are others"
+    shown = [np.mean((moved[view] != 114).any(axis=2) == (before[view] != 114).any(axis=2)) for view in before]
+    assert min(shown) > 0.5 and np.median(shown) > 0.9, "the boxes are on the same shapes"
+    trained = [sample.rgb for sample in views(people, gather(people)) if sample.origin == DRAWN]
+    assert {rgb.tobytes() for rgb in trained} == {rgb.tobytes() for rgb in moved.values()}
+    people.adjustments.correct(recording.id, NO_CORRECTION, "me")
+    back = {view.view_id: rgb for view, rgb in drawn_pictures(people, people.boxes.on_views(), never)}
+    assert max(np.mean((back[view] != before[view]).any(axis=2)) for view in before) < 0.01, "but for rounding"
+
+
+def test_drawn_views_whose_box_a_correction_leaves_empty_do_not_train(people: Project) -> None:
+    simulate(people, BoxKind.SILHOUETTE, every=5)
+    (recording,) = people.recordings.all()
+    people.adjustments.correct(recording.id, Correction((0.0, 0.0, 0.0), (40.0, 0.0, 0.0)), "me")
+    skipped: list[str] = []
+    material = gather(people)
+    assert not list(drawn_pictures(people, material.views, lambda _, error: skipped.append(str(error))))
+    assert len(skipped) == 12 and all(
+        "the corrected calibration leaves no points in its box" in line for line in skipped
+    )
 
 
 def test_drawn_boxes_replace_the_outlines_of_their_objects(people: Project) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from annotator.detection.dataset import TrainingSample, read_manifest, write_dat
 from annotator.detection.trained import LAST, STATE, RunRecord, TrainedModel, TrainingMetrics, TrainingState
 from annotator.detection.training import TrainingProgress, TrainingStoppedError
 from annotator.detection.weights import write_tensors
+from annotator.files import lock_folder
 from annotator.project import Project, WriteContext
 from annotator.rcv import pseudo_view
 from annotator.rcv.config import RcvConfig
@@ -185,7 +187,7 @@ def test_a_training_can_be_stopped_while_it_draws_views_and_measures(
 def test_a_training_removes_what_killed_ones_left(labelled: Project) -> None:
     model = register(labelled, "registered")
     folder = model.path.parent.parent
-    for name in ("registered", "timed", "resumable", "killed"):
+    for name in ("registered", "timed", "resumable", "killed", "running"):
         (folder / name / "weights").mkdir(parents=True, exist_ok=True)
     record = RunRecord(fingerprint="", pretrained=False, note="", seconds=1.0)
     for name, groups in (("timed", []), ("resumable", [{"lr": 0.1}])):
@@ -194,10 +196,13 @@ def test_a_training_removes_what_killed_ones_left(labelled: Project) -> None:
         )
         write_tensors(folder / name / "weights" / LAST, {}, {STATE: state.model_dump_json()})
     (folder / ".dataset.x1.unfinished").mkdir()
+    lock = lock_folder(folder / "running")  # as `train_detector` does, in another process
+    assert lock is not None
     workflow.remove_leftovers(labelled, DetectorKind.VIEW)
-    assert {path.name for path in folder.iterdir()} >= {"registered", "resumable"}
+    assert {path.name for path in folder.iterdir()} >= {"registered", "resumable", "running"}
     assert not (folder / "timed").exists() and not (folder / "killed").exists()
     assert not (folder / ".dataset.x1.unfinished").exists()
+    os.close(lock)
 
 
 # with a low score, too

@@ -5,6 +5,7 @@ First the distribution of tasks with fake workers, the choice of the engine, and
 
 from __future__ import annotations
 
+import errno
 import os
 import pickle
 import shutil
@@ -145,6 +146,13 @@ def test_weights_are_sent_to_other_machines(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr("annotator.workflows.detectors.load_detector", read)
     loaded = packed.load(1)
     assert (loaded.image, loaded.view) == ((b"weights", "{}"),) * 2
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(DetectionError, match=r"cannot be written \(No space left on device\).*TMPDIR"):
+        packed.load(1)
 
 
 def test_the_folder_of_cached_recordings_is_private(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
