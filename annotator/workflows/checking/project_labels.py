@@ -79,8 +79,9 @@ class PointCounts:
             finally:
                 self._left_s -= time.perf_counter() - begin
             counts = (int(np.count_nonzero(contains(box, xyz_m))) for box in boxes)
-            self._new |= dict(zip(keys, counts, strict=True))
-            self._cached |= self._new
+            counted = dict(zip(keys, counts, strict=True))
+            self._new |= counted
+            self._cached |= counted
         return [self._cached[key] for key in keys]
 
     def save(self) -> None:
