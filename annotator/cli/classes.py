@@ -43,7 +43,7 @@ def show(project: Project, /, *, as_json: AsJson = False) -> None:
 
 def add(project: Project, name: ClassName, /, *, colour: Colour = None, key: Key = None) -> None:
     """Add a class at the end. Detectors find it after the next training."""
-    _change(project, edit.AddClass(name=name, style=_looks(colour, key)))
+    _change(project, lambda config: edit.AddClass(name=name, style=_looks(colour, key))(config))
 
 
 def style(
@@ -62,7 +62,7 @@ def style(
     """
     given = _looks(colour, key)
     _require_one_of_both(given, unset)
-    _change(project, edit.StyleClass(name=name, style={**given, **dict.fromkeys(unset)}))
+    _change(project, lambda config: edit.StyleClass(name=name, style={**given, **dict.fromkeys(unset)})(config))
 
 
 def order(project: Project, names: tuple[str, ...], /) -> None:
@@ -71,7 +71,8 @@ def order(project: Project, names: tuple[str, ...], /) -> None:
     Args:
         names: all classes of the project, with spaces or commas between them.
     """
-    _change(project, edit.Reorder(names=names_in(names, project.config.classes)))
+    ordered = names_in(names, project.config.classes)
+    _change(project, lambda config: edit.Reorder(names=ordered)(config))
 
 
 def order_attributes(project: Project, names: tuple[str, ...], /) -> None:
@@ -81,7 +82,8 @@ def order_attributes(project: Project, names: tuple[str, ...], /) -> None:
         names: all attributes of the project, with spaces or commas between them.
     """
     known = [each.name for each in project.config.attributes]
-    _change(project, edit.Reorder(do="order_attributes", names=names_in(names, known)), attributes=known)
+    ordered = names_in(names, known)
+    _change(project, lambda config: edit.Reorder(do="order_attributes", names=ordered)(config), attributes=known)
 
 
 def rename(project: Project, old: str, new: str, /) -> None:
@@ -91,7 +93,7 @@ def rename(project: Project, old: str, new: str, /) -> None:
         old: present name.
         new: new name.
     """
-    _change(project, edit.RenameClass(name=old, new=new), old)
+    _change(project, lambda config: edit.RenameClass(name=old, new=new)(config), old)
 
 
 def merge(project: Project, old: tuple[str, ...], /, *, into: str) -> None:
@@ -102,7 +104,7 @@ def merge(project: Project, old: tuple[str, ...], /, *, into: str) -> None:
         into: class that gets the boxes.
     """
     names = names_in(old, project.config.classes)
-    _change(project, edit.MergeClasses(names=names, into=into), *names)
+    _change(project, lambda config: edit.MergeClasses(names=names, into=into)(config), *names)
 
 
 def remove(
@@ -126,7 +128,7 @@ def remove(
         return
     _change(
         project,
-        edit.RemoveClass(name=name, with_boxes=with_boxes),
+        lambda config: edit.RemoveClass(name=name, with_boxes=with_boxes)(config),
         *([name] if with_boxes else []),
         verb="removed with the class",
     )
@@ -205,7 +207,7 @@ def remove_attribute(project: Project, name: str, /) -> None:
         name: name of the attribute.
     """
     number = sum(project.value_counts().get(name, {}).values())
-    _change(project, edit.RemoveAttribute(name=name), attributes=())
+    _change(project, lambda config: edit.RemoveAttribute(name=name)(config), attributes=())
     print_line(f"removed {name} and {amount(number, 'value')} of it")
 
 
@@ -217,8 +219,12 @@ def rename_attribute(project: Project, old: str, new: str, /) -> None:
         new: new name; that of another choice merges both.
     """
     name, is_choice, choice = old.partition("=")
-    change = edit.RenameAttribute(name=name, choice=choice if is_choice else None, new=new)
-    _change(project, change, attributes=[name if is_choice else new])
+    old_choice = choice if is_choice else None
+    _change(
+        project,
+        lambda config: edit.RenameAttribute(name=name, choice=old_choice, new=new)(config),
+        attributes=[name if is_choice else new],
+    )
 
 
 def _change(
@@ -229,7 +235,7 @@ def _change(
     attributes: Collection[str] | None = None,
 ) -> None:
     """Changes a project; prints how many boxes of the classes `followed` were concerned, and the classes, or these
-    attributes."""
+    attributes. The change is made within the call, which tells what is wrong with its names."""
     before = project.class_counts()
     config = project.change_classes(change, AUTHOR)
     print_lines(_followed(before, followed, verb))

@@ -37,14 +37,17 @@ class ClassEdit:
     values: Callable[[str | None, Mapping[str, AttributeValue]], dict[str, AttributeValue]] | None = None
 
 
-Looks = dict[Literal["colour", "key"], str | None]
+# Bounds of what is sent: longer names are refused before they are compared with others.
+Name = Annotated[str, Field(max_length=64)]
+Names = Annotated[tuple[Name, ...], Field(max_length=1000)]
+Looks = dict[Literal["colour", "key"], Annotated[str, Field(max_length=1000)] | None]
 
 
 class AddClass(Strict):
     """Adds a class at the end, with a colour and a key."""
 
     do: Literal["add"] = "add"
-    name: str
+    name: Name
     style: Looks = Field(default_factory=dict)
 
     def __call__(self, config: ProjectConfig) -> ClassEdit:
@@ -59,7 +62,7 @@ class StyleClass(Strict):
     """Sets colour and key of a class; null = none, what is not given stays."""
 
     do: Literal["style"] = "style"
-    name: str
+    name: Name
     style: Looks
 
     def __call__(self, config: ProjectConfig) -> ClassEdit:
@@ -73,7 +76,7 @@ class Reorder(Strict):
     """Orders the classes or the attributes."""
 
     do: Literal["order", "order_attributes"] = "order"
-    names: tuple[str, ...]
+    names: Names
 
     def __call__(self, config: ProjectConfig) -> ClassEdit:
         what, field = ("class", "classes") if self.do == "order" else ("attribute", "attributes")
@@ -88,8 +91,8 @@ class RenameClass(Strict):
     """Renames a class; its boxes follow."""
 
     do: Literal["rename"] = "rename"
-    name: str
-    new: str
+    name: Name
+    new: Name
 
     def __call__(self, config: ProjectConfig) -> ClassEdit:
         require_class(config, self.name)
@@ -106,8 +109,8 @@ class MergeClasses(Strict):
     """Gives all boxes of some classes to another one, and removes these classes."""
 
     do: Literal["merge"] = "merge"
-    names: tuple[str, ...]
-    into: str
+    names: Names
+    into: Name
 
     def __call__(self, config: ProjectConfig) -> ClassEdit:
         if not self.names:
@@ -125,7 +128,7 @@ class RemoveClass(Strict):
     """Removes a class; one that has boxes only with them."""
 
     do: Literal["remove"] = "remove"
-    name: str
+    name: Name
     with_boxes: bool = False
 
     def __call__(self, config: ProjectConfig) -> ClassEdit:
@@ -142,7 +145,7 @@ class PutAttribute(Strict):
 
     do: Literal["attribute"] = "attribute"
     # one that contradicts itself is refused when it is called, with a message for the operator
-    attribute: Attribute | dict[str, Any]
+    attribute: Attribute | dict[Name, Any]
     drop: bool = False
 
     def __call__(self, config: ProjectConfig) -> ClassEdit:
@@ -181,9 +184,9 @@ class RenameAttribute(Strict):
     """Renames an attribute, or one of its choices, or merges that into another one; values follow."""
 
     do: Literal["rename_attribute"] = "rename_attribute"
-    name: str
-    choice: str | None = None
-    new: str
+    name: Name
+    choice: Name | None = None
+    new: Name
 
     def __call__(self, config: ProjectConfig) -> ClassEdit:
         attribute, name, new, old = find_attribute(config, self.name), self.name, self.new, self.choice
@@ -212,7 +215,7 @@ class RemoveAttribute(Strict):
     """Removes an attribute with its values."""
 
     do: Literal["remove_attribute"] = "remove_attribute"
-    name: str
+    name: Name
 
     def __call__(self, config: ProjectConfig) -> ClassEdit:
         find_attribute(config, self.name)
