@@ -70,6 +70,16 @@ class Frames:
         with self.writer.store.read() as connection:
             return tuple(StoredFrame(*row) for row in connection.execute(query))
 
+    def first(self, recording_id: int | None = None) -> int | None:
+        """Id of the first frame of a recording (default: of the project) that the latest scan found; None without."""
+        query = select(frames.c.id).where(frames.c.position.is_not(None), KEPT)
+        if recording_id is not None:
+            query = query.where(frames.c.recording_id == recording_id)
+        query = query.order_by(frames.c.recording_id, frames.c.position).limit(1)
+        with self.writer.store.read() as connection:
+            found: int | None = connection.execute(query).scalar()
+        return found
+
     def count_present(self, recordings: Sequence[int] | None = None) -> int:
         """Number of frames of some recordings (default: all) that the latest scan found."""
         query = select(func.count()).where(frames.c.position.is_not(None))

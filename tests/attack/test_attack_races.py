@@ -107,4 +107,4 @@ def test_classes_and_recordings_that_ten_change_at_once_stay_whole(live: Live) -
     _racing(live, race)
     found = live.client.get(ROOM).json()
     assert [recording["name"] for recording in found["recordings"]] == ["people", "hands"]
-    assert len(live.client.get(f"{ROOM}/frames").json()) == 10
+    assert live.context.project("room").frames.count_present() == 10

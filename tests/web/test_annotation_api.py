@@ -61,8 +61,9 @@ def test_browsers_may_cache_images(live: Live) -> None:
     assert live.client.get(f"{ROOM}/views/..%2Fproject.png").status_code in (404, 422)
 
 
-def test_frames_are_listed_with_those_beside_them(live: Live) -> None:
-    assert live.client.get(f"{ROOM}/frames", params={"recording": 1}).json() == [1, 2, 3, 4, 5]
+def test_the_first_frame_and_those_beside_a_frame_are_told(live: Live) -> None:
+    asked = ({}, {"recording": 1}, {"recording": 9})
+    assert [live.client.get(f"{ROOM}/first-frame", params=each).json() for each in asked] == [1, 1, None]
     beside = [live.client.get(f"{ROOM}/frames/{frame}/beside").json() for frame in (1, 2)]
     assert beside == [{"previous": None, "next": 2}, {"previous": 1, "next": 3}]
 
@@ -118,12 +119,14 @@ def test_invalid_changes_are_refused(live: Live) -> None:
         assert answer.json()["error"]["kind"] == "ValidationError"
     assert state(live.client)["frame"]["revision"] == 0
     assert live.client.post(f"{ROOM}/frames/1/ortho", json={"box": BOX, "size_px": 10_000}).status_code == 422
+    for body in ({"do": "remove", "name": "x" * 65}, {"do": "merge", "names": ["x"] * 1001, "into": "person"}):
+        assert live.client.post(f"{ROOM}/classes", json=body).status_code == 422
 
 
 def test_missing_frames_recordings_and_projects_are_404(live: Live) -> None:
     for path in ("frames/99", "frames/99/image.jpg"):
         assert live.client.get(f"{ROOM}/{path}").status_code == 404, path
-    assert live.client.get("/api/projects/nobody/frames").status_code == 404
+    assert live.client.get("/api/projects/nobody/first-frame").status_code == 404
     unknown = change(live.client, 0, {"kind": "create", "label": "horse", "box": BOX})
     assert unknown.status_code == 400 and "'horse' is not a class" in unknown.json()["error"]["message"]
 

@@ -166,11 +166,10 @@ class Beside(Schema):
     next: int | None
 
 
-@router.get("/api/projects/{name}/frames")
-def frames(at: AtProject, recording: RowId | None = None) -> list[int]:
-    """The frames of the project, or of a recording, in order."""
-    found = at.project.frames.of(None if recording is None else [recording])
-    return [frame.id for frame in found if frame.index is not None]
+@router.get("/api/projects/{name}/first-frame")
+def first_frame(at: AtProject, recording: RowId | None = None) -> int | None:
+    """The first frame of the project, or of a recording."""
+    return at.project.frames.first(recording)
 
 
 @router.get("/api/projects/{name}/frames/{frame_id}/beside")

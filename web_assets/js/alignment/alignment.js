@@ -155,9 +155,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
 
   async function firstFrame(/** @type {string} */ recording = "") {
     const of = recording === "" ? "" : `?recording=${recording}`;
-    /** @type {number[]} */
-    const frames = await app.api.get(`${app.path("frames")}${of}`);
-    return frames[0] ?? null;
+    return app.api.get(`${app.path("first-frame")}${of}`);
   }
 
   async function openRecording() {

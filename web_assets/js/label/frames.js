@@ -234,9 +234,7 @@ export function createOrder(/** @type {App} */ app) {
   }
 
   async function firstFrame() {
-    /** @type {number[]} */
-    const frames = await app.api.get(app.path("frames"));
-    return frames[0] ?? null;
+    return app.api.get(app.path("first-frame"));
   }
 
   return {
