@@ -126,9 +126,12 @@ class Findings:
         self._found: dict[tuple[Rule, Path, int | None, str], Finding] = {}
 
     def add(self, rule: Rule, file: Path, message: str, *, line: int | None = None, frame: str | None = None) -> None:
-        found = Finding(rule=rule.id, severity=rule.severity, file=str(file), line=line, frame=frame, message=message)
         # without the frame: a shared file is faulty once, not once per frame
-        self._found.setdefault((rule, file, line, message), found)
+        key = (rule, file, line, message)
+        if key not in self._found:
+            self._found[key] = Finding(
+                rule=rule.id, severity=rule.severity, file=str(file), line=line, frame=frame, message=message
+            )
 
     def add_error(self, rule: Rule, error: AnnotatorError, file: Path, *, frame: str | None = None) -> None:
         """Adds an error with its own file and line; `file` is used if it has none."""
