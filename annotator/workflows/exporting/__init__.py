@@ -2,4 +2,5 @@
 
 from annotator.formats.table import WRITERS, ExportFormat
 from annotator.workflows.exporting.choose import ExportFilter, Split, SplitBy, parse_shares
-from annotator.workflows.exporting.export import ExportOptions, ExportReport, export_project
+from annotator.workflows.exporting.export import export_project
+from annotator.workflows.exporting.job import ExportOptions, ExportReport
