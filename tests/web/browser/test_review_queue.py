@@ -353,7 +353,7 @@ def test_a_click_counts_though_the_page_is_drawn_again_while_the_button_is_down(
     wait_for(lambda: project.labels.get(other).label.state is ReviewState.REJECTED)
     desk.settled()
     press(page.get_by_test_id("mode-train"))
-    page.get_by_test_id("train-form").wait_for()
+    page.get_by_test_id("learning").wait_for()
 
 
 def test_frames_are_changed_finalised_and_shown_with_their_problem(

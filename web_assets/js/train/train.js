@@ -248,7 +248,8 @@ function createForm(/** @type {ModeApp} */ app) {
   );
   const form = h(
     "form",
-    { class: "stack", "data-testid": "train-form" },
+    // hidden until it is known that there is something to learn
+    { class: "stack", hidden: true, "data-testid": "train-form" },
     h(
       "div",
       { class: "row" },
