@@ -246,6 +246,8 @@ def test_a_bad_file_says_why_and_a_class_can_be_added(
     file.set_input_files(tmp_path / "boxes.json")
     expect(dialog).to_contain_text("could be of several recordings")
     start.get_by_test_id("boxes-recording").select_option(label=room.recordings.all()[0].name)
+    # the file is read again; until then it cannot be imported
+    expect(start.get_by_test_id("boxes-about")).to_contain_text("7 boxes on 2 images")
     expect(dialog).not_to_contain_text("could be of several recordings")
     start.get_by_test_id("boxes-class-Person").select_option(label="leave out")
     start.get_by_test_id("dialog-import").click()
