@@ -1,4 +1,4 @@
-/** Opens frames in Review, and selects a box in each. */
+/** Opens frames, and selects a box in each. */
 
 import { isAborted } from "../errors.js";
 import { frameBeside } from "../frame_problem.js";
@@ -102,14 +102,17 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
     if (frame === opened && desk.stored(uid)) desk.select(uid);
     else if (!(await open(frame, uid))) return;
     if (isFromQueue) sessionStorage.setItem(FROM_QUEUE, `${project}/${frame}`);
-    app.go(makeHash(project, "review", frame));
+    app.go(makeHash(project, "annotate", frame));
   }
 
+  /** Opens the next or previous frame in time; while the queue has frames to draw on, its next one. */
   async function step(/** @type {Direction} */ which) {
+    const useful = which === "next" && queue.order === "teach" ? queue.after(null, opened) : null;
+    if (useful) return go(useful, true);
     const next = broken === null ? (app.state.frame?.frame[which] ?? null) : await frameBeside(app, broken, which);
     if (next === null)
       app.toast(which === "next" ? "This is the recording's last frame." : "This is the recording's first frame.");
-    else app.go(makeHash(project, "review", next));
+    else app.go(makeHash(project, "annotate", next));
   }
 
   /** Opens the frame of the page's URL, or else the first one of the queue. */

@@ -87,33 +87,3 @@ export function kindChange(/** @type {Api.BoxKind} */ kind) {
     }),
   };
 }
-
-/**
- * Sets values of attributes of a label, or (null) of the frame.
- *
- * @returns {FrameChange}
- */
-export function valuesChange(
-  /** @type {string | null} */ uid,
-  /** @type {Record<string, string | number | boolean | null>} */ values,
-) {
-  return {
-    path: ["attributes"],
-    isSmall: true,
-    body: () => ({ uid, values }),
-    mine: () => ({ text: [`Sets ${Object.keys(values).join(", ")}`], boxes: [], outlines: [] }),
-  };
-}
-
-/**
- * Finalises the frame, or reopens it.
- *
- * @returns {FrameChange}
- */
-export function finality(/** @type {boolean} */ isFinal) {
-  return {
-    path: ["changes"],
-    body: () => ({ subject: null, changes: [{ kind: isFinal ? "finalise" : "reopen" }] }),
-    mine: () => ({ text: [isFinal ? "Finalises the frame" : "Reopens the frame"], boxes: [], outlines: [] }),
-  };
-}

@@ -3,27 +3,21 @@
 import { messageOf } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 import { objectChange, removal } from "./changes.js";
-import { isFinished } from "./display.js";
 import { createMoves, demoteSecondStep, makeDraft, takeSteps } from "./draft.js";
 import { makeItem, plainBox, sameBox } from "./items.js";
-import { openGuesses } from "./work.js";
 
-/** Maximum time that the 3D view waits for the pictures of views. */
-const PICTURES_WAIT_MS = 400;
-
-/** Resolves after the page was painted: a task queued by an animation callback runs after the painting. */
-function painted() {
-  return new Promise((resolve) => requestAnimationFrame(() => setTimeout(resolve)));
-}
+/** True if an object has all its boxes and a label. */
+export const isFinished = (/** @type {Item} */ item) => Boolean(item.uid) && item.boxes.every(Boolean);
 
 /**
  * @param {ModeApp} app
  * @param {Work} work
- * @param {{ saver: Saver, loader: StepLoader, suggester: Suggester, whole: WholeBoxes, prefetch: Prefetch,
- *     image: Editor, views: ViewsPane, show: () => void }} parts
+ * @param {{ saver: Saver, loader: StepLoader, suggester: Suggester, whole: WholeBoxes, show: () => void,
+ *     onFinished: (uid: string) => void, onStored: (item: Item) => void }} parts onFinished: an object has its label;
+ *     onStored: an object is about to be stored.
  */
 export function createObjects(app, work, parts) {
-  const { saver, loader, suggester, whole, prefetch, image, views, show } = parts;
+  const { saver, loader, suggester, whole, show, onFinished, onStored } = parts;
   const kind = () => work.kind;
   const moves = createMoves(loader);
 
@@ -39,13 +33,7 @@ export function createObjects(app, work, parts) {
     moves.leave(work.draft);
     const draft = moves.draftOf(item) ?? makeDraft(item, currentFrame(app).frame.id);
     work.draft = draft;
-    work.label = item.image_box.label;
     return draft;
-  }
-
-  function openLabel(/** @type {string} */ uid) {
-    const item = work.items.find((known) => known.uid === uid);
-    if (item) open(item);
   }
 
   /** Closes the current object. */
@@ -62,7 +50,6 @@ export function createObjects(app, work, parts) {
     if (!loading) return;
     const { item } = loading;
     suggester.stop();
-    prefetch.stop();
     try {
       // a moved object is saved afterwards, and the answer to that contains suggestions
       const isNewest = await moves.load(loading, !moves.isWaiting(item));
@@ -73,7 +60,7 @@ export function createObjects(app, work, parts) {
       if (moves.isWaiting(item)) loading.steps = [];
       if (work.draft !== loading) return;
     }
-    await showViews(loading);
+    showViews(loading);
   }
 
   /**
@@ -92,41 +79,32 @@ export function createObjects(app, work, parts) {
     if (work.draft === draft && draft.changes === changes) work.loaded = loadSteps();
   }
 
-  /** Shows new views; once they are on the screen, the 3D view and prefetching may begin. */
-  async function showViews(/** @type {Draft} */ draft) {
+  function showViews(/** @type {Draft} */ draft) {
     if (draft.item.boxes.every(Boolean)) draft.outline = null;
-    const own = {};
-    work.coming = own;
-    show();
-    await Promise.race([views.shown().then(painted), new Promise((resolve) => setTimeout(resolve, PICTURES_WAIT_MS))]);
-    if (work.coming !== own || work.draft !== draft) return;
-    work.coming = null;
     show();
     void suggester.follow(draft);
     void whole.follow(draft);
-    prefetch.start();
   }
 
   // -- boxes on the image
 
-  function onImageSelect(/** @type {number} */ index) {
-    const item = work.items[index];
-    work.selected = item ?? null;
-    if (item && item !== work.draft?.item) open(item);
-  }
-
+  /** The operator has changed a box on the image: that of an object, or a dashed one, which becomes an object. */
   function onImageChange(
-    /** @type {Box2D[]} */ boxes,
+    /** @type {Item} */ item,
+    /** @type {Box2D} */ box,
     /** @type {EditKind} */ why,
-    /** @type {number} */ index,
     /** @type {number} */ actions,
   ) {
     app.effort.action(actions);
-    if (index >= work.items.length && why !== "draw")
-      takeGuess(openGuesses(work)[index - work.items.length].item, boxes[index]);
-    else if (why === "draw") add(makeItem(plainBox(boxes[index])));
-    else if (why === "delete") removeItem(work.items[index]);
-    else changeImageBox(work.items[index], plainBox(boxes[index]));
+    if (!work.items.includes(item)) takeGuess(item, box);
+    else if (why === "delete") removeItem(item);
+    else changeImageBox(item, plainBox(box));
+  }
+
+  /** A box was drawn on the image for a new object. */
+  function draw(/** @type {Box2D} */ box) {
+    app.effort.action();
+    add(makeItem(plainBox(box)));
   }
 
   function add(/** @type {Item} */ item) {
@@ -191,7 +169,7 @@ export function createObjects(app, work, parts) {
     const isMove = index < 2 && [2, 3].some((later) => item.boxes[later]);
     if (isMove) followMove(draft);
     else save(draft);
-    if (item.boxes.every(Boolean)) image.select(-1);
+    if (item.boxes.every(Boolean)) work.selected = null;
     show();
   }
 
@@ -202,7 +180,7 @@ export function createObjects(app, work, parts) {
     app.effort.action();
     accept(draft, [0, 1, 2, 3]);
     save(draft);
-    if (draft.item.boxes.every(Boolean)) image.select(-1);
+    if (draft.item.boxes.every(Boolean)) work.selected = null;
     show();
     return true;
   }
@@ -231,7 +209,6 @@ export function createObjects(app, work, parts) {
   // -- the object as a whole
 
   function pickClass(/** @type {string} */ name) {
-    work.label = name;
     const item = work.draft?.item;
     if (item && !work.isReadonly && (work.selected === item || !isFinished(item)) && item.image_box.label !== name) {
       app.effort.action();
@@ -257,10 +234,11 @@ export function createObjects(app, work, parts) {
 
   /** Saves an object as it is now; while it waits for its views, it is saved when they are loaded. */
   function save(/** @type {Draft} */ draft) {
+    onStored(draft.item);
+    if (!work.items.includes(draft.item)) work.items = [...work.items, draft.item];
     draft.changes += 1;
     draft.whole = null;
     suggester.stop();
-    prefetch.stop();
     if (moves.isWaiting(draft.item)) return;
     draft.isLoading = true;
     saver.save(changeOf(draft));
@@ -276,7 +254,9 @@ export function createObjects(app, work, parts) {
         if (draft.changes !== changes) return;
         draft.isLoading = false;
         takeSteps(draft, drawn);
-        if (work.draft === draft) void showViews(draft);
+        if (work.draft !== draft) return;
+        showViews(draft);
+        if (isFinished(draft.item)) onFinished(draft.item.uid ?? "");
       },
     });
   }
@@ -307,28 +287,18 @@ export function createObjects(app, work, parts) {
     show();
   }
 
-  function cycle(/** @type {number} */ direction) {
-    if (!work.items.length) return false;
-    const index = work.draft ? work.items.indexOf(work.draft.item) + direction : direction > 0 ? 0 : -1;
-    const item = work.items.at(index % work.items.length);
-    if (item) open(item);
-    return true;
-  }
-
   return {
     open,
-    openLabel,
     askAgain,
     close,
     acceptAll,
     onFailed,
-    onImageSelect,
     onImageChange,
+    draw,
     setViewBox,
     clearViewBox,
     pickClass,
     remove,
     onDropped,
-    cycle,
   };
 }
