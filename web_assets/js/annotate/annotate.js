@@ -11,7 +11,6 @@
 import { createAttributes } from "../attributes.js";
 import { h } from "../dom.js";
 import { createFrameProblem } from "../frame_problem.js";
-import { makeHash } from "../router.js";
 import { createActions } from "./actions.js";
 import { createClassPicker } from "./class_picker.js";
 import { createCommands } from "./commands.js";
@@ -33,13 +32,12 @@ import { createTracks } from "./tracks.js";
 const WIDE_ASPECT = 1.9;
 
 export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
-  const project = app.state.route.project;
   root.classList.add("fixed");
   if (app.state.project.frames === 0) {
     root.append(emptyProject());
     return { unmount() {} };
   }
-  const parts = layout(project);
+  const parts = layout();
   root.append(parts.root);
   const desk = createDesk(app);
   const queue = createQueue(app, showQueue);
@@ -149,7 +147,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   function showQueue() {
     showActions();
     queueList.show(desk.uid);
-    parts.done.hidden = queue.items.length > 0 || queue.isFiltered || opening.loading || !opening.seenQueue;
   }
 
   function showActions() {
@@ -310,7 +307,7 @@ const fingerprint = (/** @type {PageLabel} */ { state, label, track_id, box }) =
 
 // -- its panels
 
-export function layout(/** @type {string} */ project) {
+export function layout() {
   const part = (/** @type {string} */ name, /** @type {string} */ label) =>
     h("section", { class: `panel ${name}`, "aria-label": label });
   const queue = part("queue", "Queue");
@@ -324,21 +321,12 @@ export function layout(/** @type {string} */ project) {
   const fields = part("fields", "Selected box");
   const actions = h("div", { class: "actions", role: "toolbar", "aria-label": "Actions" });
   const saving = h("span", { class: "muted", role: "status", "data-testid": "saving" });
-  const done = h(
-    "div",
-    { class: "done-note", hidden: true, role: "status", "data-testid": "review-done" },
-    "No proposals left to review. ",
-    h("a", { href: makeHash(project, "train") }, "Propose more"),
-    " or ",
-    h("a", { href: makeHash(project, "export") }, "export"),
-    ".",
-  );
   const root = h(
     "div",
     { class: "annotate" },
     h("div", { class: "side" }, queue, boxes, classes),
     h("div", { class: "pictures" }, imagePanel, scene),
-    h("div", { class: "bar" }, actions, done, problem, saving),
+    h("div", { class: "bar" }, actions, problem, saving),
     h("div", { class: "details" }, object, fields),
   );
   return {
@@ -353,7 +341,6 @@ export function layout(/** @type {string} */ project) {
     fields,
     actions,
     saving,
-    done,
     problem,
   };
 }

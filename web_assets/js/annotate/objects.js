@@ -2,9 +2,8 @@
 
 import { messageOf } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
-import { objectChange, removal } from "./changes.js";
-import { createMoves, demoteSecondStep, makeDraft, takeSteps } from "./draft.js";
-import { makeItem, plainBox, sameBox } from "./items.js";
+import { createMoves, demoteSecondStep, drawnObject, makeDraft, takeSteps } from "./draft.js";
+import { exchanged, makeItem, plainBox, relabelItem, sameBox, suggestionOf } from "./items.js";
 
 /** True if an object has all its boxes and a label. */
 export const isFinished = (/** @type {Item} */ item) => Boolean(item.uid) && item.boxes.every(Boolean);
@@ -13,11 +12,10 @@ export const isFinished = (/** @type {Item} */ item) => Boolean(item.uid) && ite
  * @param {ModeApp} app
  * @param {Work} work
  * @param {{ saver: Saver, loader: StepLoader, suggester: Suggester, whole: WholeBoxes, show: () => void,
- *     onFinished: (uid: string) => void, onStored: (item: Item) => void }} parts onFinished: an object has its label;
- *     onStored: an object is about to be stored.
+ *     onStored: (item: Item) => void }} parts onStored: called when an object is about to be stored.
  */
 export function createObjects(app, work, parts) {
-  const { saver, loader, suggester, whole, show, onFinished, onStored } = parts;
+  const { saver, loader, suggester, whole, show, onStored } = parts;
   const kind = () => work.kind;
   const moves = createMoves(loader);
 
@@ -254,9 +252,7 @@ export function createObjects(app, work, parts) {
         if (draft.changes !== changes) return;
         draft.isLoading = false;
         takeSteps(draft, drawn);
-        if (work.draft !== draft) return;
-        showViews(draft);
-        if (isFinished(draft.item)) onFinished(draft.item.uid ?? "");
+        if (work.draft === draft) showViews(draft);
       },
     });
   }
@@ -300,5 +296,72 @@ export function createObjects(app, work, parts) {
     pickClass,
     remove,
     onDropped,
+  };
+}
+
+// -- the changes of a frame, for saver.js
+
+/**
+ * Saves an object as it is now. Afterwards `stored` is its image box, which later changes replace.
+ *
+ * @param {Draft} draft
+ * @param {object} options
+ * @param {Promise<unknown>} options.after
+ * @param {() => Api.BoxKind} options.kind
+ * @param {(drawn: Api.StepsOut) => void} options.onDrawn called with the views and suggestions that follow.
+ * @returns {FrameChange}
+ */
+export function objectChange(draft, { after, kind, onDrawn }) {
+  const { item, outline } = draft;
+  const drawn = drawnObject(draft);
+  const suggestion = suggestionOf(item);
+  const kept = { ...makeItem(drawn.image_box), boxes: item.boxes.slice(), views: item.views.slice() };
+  kept.stored = item.stored;
+  item.stored = drawn.image_box;
+  return {
+    path: ["label", "object"],
+    after,
+    item: kept,
+    relabel(named) {
+      relabelItem(kept, named);
+      drawn.image_box = named(drawn.image_box);
+      drawn.boxes = drawn.boxes.map(named);
+    },
+    body: (state) => ({
+      image_boxes: exchanged(state.image_boxes?.boxes ?? [], kept.stored, drawn.image_box),
+      box_kind: kind(),
+      object: { ...drawn, uid: state.labels.some(({ uid }) => uid === item.uid) ? item.uid : null, suggestion },
+    }),
+    done({ uid, drawn: following }) {
+      item.uid = uid ?? item.uid;
+      if (following) onDrawn(following);
+    },
+    mine: () => ({
+      text: [`${drawn.image_box.label}: its box on the image and ${drawn.boxes.filter(Boolean).length} on the views`],
+      boxes: [drawn.image_box],
+      outlines: outline ? [outline] : [],
+    }),
+  };
+}
+
+/**
+ * Deletes an object with its label.
+ *
+ * @returns {FrameChange}
+ */
+export function removal(/** @type {Item} */ item, /** @type {() => Api.BoxKind} */ kind) {
+  const { image_box } = item;
+  return {
+    path: ["changes"],
+    relabel: (named) => relabelItem(item, named),
+    // made when it is sent: the answer to an earlier change may contain the uid and the stored box
+    body: (state) => ({
+      subject: item.uid,
+      changes: [
+        ...(state.labels.some(({ uid }) => uid === item.uid) ? [{ kind: "delete", uid: item.uid }] : []),
+        { kind: "image_boxes", boxes: exchanged(state.image_boxes?.boxes ?? [], item.stored, null), box_kind: kind() },
+      ],
+    }),
+    mine: () => ({ text: [`Deletes this ${image_box.label}`], boxes: [image_box], outlines: [] }),
   };
 }

@@ -34,7 +34,6 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
    * @type {number | null}
    */
   let broken = null;
-  let seenQueue = false;
 
   /** Sets whether a frame is being opened; keys must not act meanwhile, because its boxes are not shown yet. */
   function setLoading(/** @type {boolean} */ value) {
@@ -121,7 +120,6 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
     // the frame can be reviewed without the queue
     try {
       await queue.load();
-      seenQueue = true;
     } catch (error) {
       app.toast(error);
     }
@@ -136,10 +134,6 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
   return {
     get loading() {
       return loading;
-    },
-    /** True once the queue was read. */
-    get seenQueue() {
-      return seenQueue;
     },
     /**
      * The operator works through the queue: the open frame was taken from it. Another one, which the operator has

@@ -8,6 +8,7 @@ import { shortName } from "./drawing.js";
 import { summary } from "./fields.js";
 import { DRAGS, progressOf } from "./items.js";
 import { ORDERS, OWN } from "./queue.js";
+import { makeHash } from "../router.js";
 import { createValueFilter, refill } from "./value_filter.js";
 
 /** Rows of the queue that are shown around the current one. */
@@ -89,7 +90,19 @@ export function createQueueList(
 
   /** Shown in place of the items if there are none. */
   function nothing() {
-    if (!queue.isFiltered) return ["No proposals left to review."];
+    const { name } = app.state.project;
+    if (!queue.isFiltered)
+      return [
+        h(
+          "p",
+          { "data-testid": "review-done" },
+          "Nothing is left to review. Draw a box on the image, ",
+          h("a", { href: makeHash(name, "train") }, "propose more"),
+          ", or ",
+          h("a", { href: makeHash(name, "export") }, "export"),
+          ".",
+        ),
+      ];
     const clear = () => {
       for (const select of [label, source]) select.value = "";
       values.clear();

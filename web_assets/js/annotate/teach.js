@@ -78,7 +78,6 @@ export function createTeach(host, app, desk, { onChange, isImageBusy }) {
     suggester,
     whole,
     show,
-    onFinished: (uid) => desk.select(uid),
     onStored(item) {
       // the object replaces the box that was found for it
       const { found } = item;
@@ -132,7 +131,9 @@ export function createTeach(host, app, desk, { onChange, isImageBusy }) {
     work.items.forEach((item, i) => {
       item.uid = fresh[i].uid;
     });
-    if (work.draft && !work.items.includes(work.draft.item)) follow();
+    const current = work.draft?.item;
+    if (current && isFinished(current)) desk.select(current.uid);
+    else if (current && !work.items.includes(current)) follow();
     show();
   }
 
