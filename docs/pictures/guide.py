@@ -198,7 +198,7 @@ def correct(page: Page) -> None:
 
 def follow(page: Page) -> None:
     """All reviewed boxes of the frame, through the recording."""
-    click(page, "mode-review")
+    click(page, "mode-annotate")
     page.get_by_test_id("frame-box").first.wait_for()
     page.wait_for_timeout(SETTLED_MS)
     page.keyboard.press("l")

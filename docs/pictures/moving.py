@@ -105,7 +105,7 @@ def draw(film: Film, recording: Path) -> None:
 def follow(film: Film) -> None:
     """The box is followed, and shown in the next frames."""
     page, text = film.page, "4   V follows it through the recording"
-    page.get_by_test_id("mode-review").click()
+    page.get_by_test_id("mode-annotate").click()
     page.get_by_test_id("frame-box").first.wait_for()
     page.get_by_test_id("queue-order").select_option("time")
     wait_for_3d(page)

@@ -50,7 +50,7 @@ export const KEYS = [
     ["finalise", ["Ctrl+Enter"], "Finalise the frame"],
   ]),
   ...rows("Boxes", ANNOTATE, [
-    ["accept", ["Space"], "Accept, then go to the next: of the queue, or else of this frame"],
+    ["accept", ["Space", "Enter"], "Accept, then go to the next: of the queue, or else of this frame", ["Space"]],
     [
       "accept-all",
       ["Shift+Space"],

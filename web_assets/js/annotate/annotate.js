@@ -163,11 +163,14 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   }
 
   function showBusy() {
-    parts.saving.textContent = desk.isSaving ? "saving …" : opening.loading ? "opening …" : "";
+    const isSaving = desk.isSaving || teach.isSaving;
+    parts.root.toggleAttribute("data-saving", isSaving);
+    parts.saving.textContent = isSaving ? "saving …" : opening.loading ? "opening …" : "";
   }
 
   /** The object that is drawn has changed. */
   function showDrawn() {
+    showBusy();
     image.show();
     boxList.show();
     showActions();
@@ -232,6 +235,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     app.state.on("project", () => {
       queueList.fill();
       fields.fill();
+      teach.show();
       showAll();
     }),
     app.events.on("classes", ({ renamed }) => {

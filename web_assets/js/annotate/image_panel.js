@@ -31,7 +31,7 @@ export function createImagePanel(host, app, desk, { teach, onDrawn, onMode, canD
   const withRejected = h("input", { type: "checkbox", onchange: show, "data-testid": "show-rejected" });
   const byTrack = h("input", { type: "checkbox", onchange: colorAnew, "data-testid": "color-by-track" });
   byTrack.checked = localStorage.getItem("color-by-track") === "true";
-  const body = h("div", { class: "view-body", "data-testid": "review-image" });
+  const body = h("div", { class: "view-body", "data-testid": "image-editor" });
   host.append(
     h(
       "header",

@@ -59,7 +59,7 @@ export function createTeach(host, app, desk, { onChange, isImageBusy }) {
     onSaved,
     onDropped: (change) => objects.onDropped(change),
     onBusy(isSaving) {
-      problem.show();
+      show();
       if (isSaving) return;
       if (saver.problem) objects.onFailed();
       else void refresh();
@@ -198,6 +198,7 @@ export function createTeach(host, app, desk, { onChange, isImageBusy }) {
   // -- showing
 
   function show() {
+    problem.show();
     views.setReadonly(work.isReadonly);
     views.show(isOn ? work.draft : null);
     onChange();
@@ -312,6 +313,10 @@ export function createTeach(host, app, desk, { onChange, isImageBusy }) {
     get draft() {
       return work.draft;
     },
+    /** Whether changes are being sent, or wait for a second try. */
+    get isSaving() {
+      return saver.isBusy;
+    },
     /** Whether there is something that `accept` takes. */
     get canAccept() {
       return canAccept();
@@ -325,6 +330,7 @@ export function createTeach(host, app, desk, { onChange, isImageBusy }) {
     shown,
     overlays,
     hint,
+    show,
     settle,
     follow,
     turn,
