@@ -61,7 +61,7 @@ def test_it_serves_the_page_until_an_interrupt(root: Path) -> None:
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+/\?token=[\w-]{43}&go=room%2Flabel", address)
         bare = address.partition("?")[0]
         assert httpx.get(bare, timeout=240).status_code == 401
-        assert "url=/#/room/label" in client.get(address).text
+        assert "url=/#/room/annotate" in client.get(address).text
         answer = client.get(bare)
         assert answer.status_code == 200
         assert "<html" in answer.text

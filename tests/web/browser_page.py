@@ -1,4 +1,4 @@
-"""What the tests in a real browser use: the mouse, a page with pseudo-views (`Bench`), and one with proposals (`Desk`)."""
+"""What the tests in a real browser use: the mouse, a page with pseudo-views (`Bench`), one with proposals (`Desk`)."""
 
 from __future__ import annotations
 

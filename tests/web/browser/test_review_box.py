@@ -264,13 +264,13 @@ def test_a_new_box_is_drawn_on_the_image(
     expect(page.get_by_test_id("follow-title")).to_contain_text("Followed forward")
     assert desk.project.labels.count([ReviewState.ACCEPTED]) == 2
 
-    # without a detector, the box is continued in Label
+    # without a detector, the box is continued on the pseudo-views
     monkeypatch.setattr(detectors, "readiness", lambda project, role, wait_s=None: Readiness("none"))
     desk.settled()
     frame = desk.frame
     page.goto(f"/#/{desk.name}/annotate/{frame}")
     desk.settled()
-    draw_on_image(desk, scene.image_box(1))
+    draw_on_image(desk, scene.image_box(0))
     expect(page).to_have_url(re.compile(f"/annotate/{frame}$"))
     expect(page.get_by_test_id("toast-warn").last).to_contain_text("There is no pseudo-view detector yet")
     expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "1")
@@ -278,7 +278,7 @@ def test_a_new_box_is_drawn_on_the_image(
     state = desk.live.client.get(f"{desk.api}/frames/{frame}").json()
     assert [len(drawn["views"]) for drawn in state["objects"]] == [0]
     (kept,) = state["image_boxes"]["boxes"]
-    assert all(abs(kept[edge] - scene.image_box(1)[edge]) < 0.6 for edge in ("x_min", "y_min", "x_max", "y_max"))
+    assert all(abs(kept[edge] - scene.image_box(0)[edge]) < 0.6 for edge in ("x_min", "y_min", "x_max", "y_max"))
 
 
 STARTS_S = 60.0

@@ -389,7 +389,6 @@ def test_frames_are_changed_finalised_and_shown_with_their_problem(
     # an unreadable frame shows its error instead of its image
     first, second, third = frames[:3]
     page, cache = desk.page, desk.live.context.caches.frames
-    page.evaluate("localStorage.setItem('label-order', 'time')")
     truncated = FrameError(Path("people/depth/000001.png"), "the file is truncated", "copy it again")
     read = cache.open
 
@@ -412,13 +411,12 @@ def test_frames_are_changed_finalised_and_shown_with_their_problem(
     page.get_by_test_id("frame-next").click()
     expect(page).to_have_url(re.compile(f"/annotate/{third}$"))
     expect(problem).to_be_hidden()
-        page.get_by_role("button", name="Previous frame in time").click()
-        expect(problem).to_be_visible()
-        monkeypatch.setattr(cache, "open", read)
-        page.get_by_test_id("frame-retry").click()
-        expect(shown).to_have_attribute("src", re.compile(f"/frames/{second}/"))
-        expect(problem).to_be_hidden()
-        monkeypatch.setattr(cache, "open", broken)
+    page.get_by_role("button", name="Previous frame in time").click()
+    expect(problem).to_be_visible()
+    monkeypatch.setattr(cache, "open", read)
+    page.get_by_test_id("frame-retry").click()
+    expect(shown).to_have_attribute("src", re.compile(f"/frames/{second}/"))
+    expect(problem).to_be_hidden()
 
 
 def test_stale_and_failed_edits_are_neither_lost_nor_forced(desk: Desk, wait_for) -> None:

@@ -202,6 +202,7 @@ def test_open_pages_follow_a_project_that_is_renamed_removed_missing_or_not_answ
     live.client.post(f"/api/projects/{room.path.name}/rename", json={"name": "palace"})
     expect(page.get_by_test_id("toast-info")).to_contain_text("Ada has renamed this project to palace.")
     expect(page).to_have_url(f"{live.url}/#/palace/annotate/2")
+    page.get_by_test_id("image-editor").locator("img.picture[src*='/palace/']").wait_for()
     page.keyboard.press("n")
     expect(position).not_to_have_text("2 / 5")
 

@@ -1,4 +1,4 @@
-"""The pseudo-views in a real browser: five drags an object, each saved at once; or one drag and Space with detectors."""
+"""The pseudo-views in a real browser: five drags an object, each saved; or one drag and Space with detectors."""
 
 from __future__ import annotations
 

@@ -98,6 +98,10 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   const ortho = createOrthoViews(parts.ortho, app, desk, preload);
   const teach = createTeach(parts.object, app, desk, {
     onChange: showDrawn,
+    onTurn(on) {
+      parts.ortho.hidden = on;
+      if (!on) void ortho.show();
+    },
     isImageBusy: () => image.editor.isDragging,
   });
   parts.problem.append(teach.problem);
@@ -139,7 +143,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     remove: () => commands.decide("delete"),
     gizmo: setGizmo,
     follow: () => commands.followOne("forward"),
-    teach: turnTeach,
+    teach: teach.turn,
   });
 
   // -- showing
@@ -175,13 +179,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     boxList.show();
     showActions();
     scene.show();
-  }
-
-  /** Shows the pseudo-views in place of the views along the box's axes, or these again. */
-  function turnTeach(/** @type {boolean} */ on) {
-    parts.ortho.hidden = on;
-    teach.turn(on);
-    if (!on) void ortho.show();
   }
 
   function setGizmo(/** @type {Api.Gizmo} */ mode) {
@@ -253,7 +250,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       desk.refresh().catch(app.toast);
     }),
     app.keys.register(
-      bindings({ commands, opening, tracks, sheet, scene, image, ortho, teach, turnTeach, setGizmo, attributes }),
+      bindings({ commands, opening, tracks, sheet, scene, image, ortho, teach, setGizmo, attributes }),
     ),
   ];
 
@@ -372,23 +369,10 @@ export function emptyProject() {
  * @param {ReturnType<typeof import("./image_panel.js").createImagePanel>} parts.image
  * @param {ReturnType<typeof import("./ortho_views.js").createOrthoViews>} parts.ortho
  * @param {Teach} parts.teach
- * @param {(on: boolean) => void} parts.turnTeach
  * @param {(mode: Api.Gizmo) => void} parts.setGizmo
  * @param {ReturnType<typeof import("../attributes.js").createAttributes>} parts.attributes
  */
-export function bindings({
-  commands,
-  opening,
-  tracks,
-  sheet,
-  scene,
-  image,
-  ortho,
-  teach,
-  turnTeach,
-  setGizmo,
-  attributes,
-}) {
+export function bindings({ commands, opening, tracks, sheet, scene, image, ortho, teach, setGizmo, attributes }) {
   // a key that is held down acts on one box only, not on the following ones
   const once =
     (/** @type {(key: string) => unknown} */ fn) =>
@@ -433,7 +417,7 @@ export function bindings({
       ortho.fit();
       teach.fit();
     },
-    teach: once(() => turnTeach(!teach.isOn)),
+    teach: once(() => teach.turn(!teach.isOn)),
     "next-whole-box": once(() => teach.nextWhole()),
   };
 }

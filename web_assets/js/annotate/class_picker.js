@@ -11,10 +11,13 @@ export function createClassPicker(/** @type {HTMLElement} */ host, /** @type {Mo
   /** @type {string | null} */
   let picked = null;
 
+  /** None while the project is being left. */
+  const classes = () => /** @type {App} */ (app).state.project?.classes ?? [];
+
   function show() {
     patch(
       root,
-      app.state.project.classes.map((label, index) => {
+      classes().map((label, index) => {
         const swatch = h("span", { class: "swatch" });
         swatch.style.background = classColor(app.state.project, label);
         const digit = index < 9 ? h("kbd", {}, String(index + 1)) : null;
@@ -38,8 +41,7 @@ export function createClassPicker(/** @type {HTMLElement} */ host, /** @type {Mo
   const picker = {
     /** The class that was picked, or that of the box that was selected last; the first one if it was removed. */
     get label() {
-      const { classes } = app.state.project;
-      return picked !== null && classes.includes(picked) ? picked : classes[0];
+      return picked !== null && classes().includes(picked) ? picked : classes()[0];
     },
     pick,
     show,

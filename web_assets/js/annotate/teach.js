@@ -30,9 +30,10 @@ const PREVIEW_COLOR = "#ff5d8f";
  * @param {Desk} desk
  * @param {object} parts
  * @param {() => void} parts.onChange called when what is drawn has changed.
+ * @param {(on: boolean) => void} parts.onTurn called when the pseudo-views are shown, or not any more.
  * @param {() => boolean} parts.isImageBusy whether a box on the image is being dragged.
  */
-export function createTeach(host, app, desk, { onChange, isImageBusy }) {
+export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) {
   /** @type {Work} */
   const work = {
     items: [],
@@ -273,6 +274,7 @@ export function createTeach(host, app, desk, { onChange, isImageBusy }) {
   function turn(/** @type {boolean} */ on) {
     isOn = on;
     views.root.hidden = !on;
+    onTurn(on);
     follow();
     show();
   }
