@@ -58,7 +58,7 @@ def serving(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 def test_it_serves_the_page_until_an_interrupt(root: Path) -> None:
     with serving("room", "--projects", str(root), "--open") as (process, address), httpx.Client(timeout=240) as client:
-        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/\?token=[\w-]{43}&go=room%2Flabel", address)
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/\?token=[\w-]{43}&go=room%2Fannotate", address)
         bare = address.partition("?")[0]
         assert httpx.get(bare, timeout=240).status_code == 401
         assert "url=/#/room/annotate" in client.get(address).text

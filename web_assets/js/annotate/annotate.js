@@ -34,7 +34,7 @@ const WIDE_ASPECT = 1.9;
 export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
   root.classList.add("fixed");
   if (app.state.project.frames === 0) {
-    root.append(emptyProject());
+    root.append(emptyProject(app.state.project.name));
     return { unmount() {} };
   }
   const parts = layout();
@@ -347,11 +347,11 @@ export function layout() {
 }
 
 /** Shown in place of the panels if the project has no frame. */
-export function emptyProject() {
+export function emptyProject(/** @type {string} */ name) {
   return h(
     "div",
     { class: "empty", "data-testid": "no-frames" },
-    h("h2", {}, "This project has no recording yet"),
+    h("h2", {}, `${name} has no recording yet`),
     h("p", {}, "Add one on the start page; its frames are then shown here."),
     h("a", { class: "button", href: "#/" }, "Go to the start page"),
   );
