@@ -140,8 +140,6 @@ class Corrections:
         if drawn is None:
             return None
         boxes = [item.box for item in drawn.views]
-        # the page has changed to Label by itself
-        bill.act("back to Review", KEY_S)
         return label_steps(opened, image_box, boxes, config, BoxKind.BOX, axes=drawn.views[2].view.axes).box
 
 

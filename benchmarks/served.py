@@ -215,9 +215,9 @@ def signed_in(browser: Browser, server: Server, operator: str = "Ada") -> Page:
     return page
 
 
-def open_mode(page: Page, project: str, mode: str, frame: int) -> None:
-    """Opens a mode on a frame; waits for the image and the 3D view."""
-    page.goto(f"/#/{project}/{mode}/{frame}")
+def open_frame(page: Page, project: str, frame: int) -> None:
+    """Opens a frame in Annotate; waits for the image and the 3D view."""
+    page.goto(f"/#/{project}/annotate/{frame}")
     page.reload()
     until(page, "document.querySelector('[data-testid=viewport]')?.dataset.state === 'ready'", OPENS_WITHIN_S)
     until(page, "document.querySelector('img.picture')?.complete", OPENS_WITHIN_S)

@@ -137,7 +137,7 @@ class _Leafing:
         page.on("pageerror", lambda error: self.errors.append(str(error)))
         # without the 3D view
         page.route("**/api/workbench", lambda route: route.abort())
-        page.goto(f"/#/{PROJECT}/review/{frames[0]}")
+        page.goto(f"/#/{PROJECT}/annotate/{frames[0]}")
         until(page, "document.querySelector('img.picture')?.complete", OPENS_WITHIN_S)
 
     def leaf(self) -> None:

@@ -32,7 +32,7 @@ from benchmarks.served import (
     draw_box,
     frames_of,
     measured,
-    open_mode,
+    open_frame,
     percentile,
     serving,
     signed_in,
@@ -97,14 +97,14 @@ def _true_boxes(projects: Path, name: str, path: Path) -> list[tuple[int, tuple[
 
 
 def switch(browser: Browser, server: Server, project: str, frames: Sequence[int], rounds: int) -> dict[str, Any]:
-    """Time from the key N or P until the new frame's image and cloud are on screen, in Review."""
+    """Time from the key N or P until the new frame's image and cloud are on screen."""
     page = signed_in(browser, server)
-    open_mode(page, project, "review", frames[0])
+    open_frame(page, project, frames[0])
     page.evaluate(CLOUD_PROBE, CLOUD_BYTES)
     times: list[dict[str, float]] = []
     keys = ["n"] * (len(frames) - 1) + ["p"] * (len(frames) - 1)
     for number in range(rounds):
-        watch(page, "keydown", "[data-testid=image-editor] img.picture, img.picture[src*='image.jpg']", True)
+        watch(page, "keydown", "[data-testid=image-editor] img.picture", True)
         page.keyboard.press(keys[number % len(keys)])
         times.append(measured(page))
     page.context.close()
@@ -122,15 +122,16 @@ def switch(browser: Browser, server: Server, project: str, frames: Sequence[int]
 def views(
     browser: Browser, server: Server, project: str, boxes: Sequence[tuple[int, tuple[float, float, float, float]]]
 ) -> dict[str, Any]:
-    """Time from the release of the mouse after drawing an image box until its two pseudo-views are on screen, in Label.
+    """Time from the release of the mouse after drawing an image box until its two pseudo-views are on screen.
 
     A box is a frame, and x_min, y_min, x_max, y_max on its image, pixels.
     """
     page = signed_in(browser, server)
-    open_mode(page, project, "label", boxes[0][0])
+    open_frame(page, project, boxes[0][0])
+    page.keyboard.press("d")
     times = []
     for frame, box in boxes:
-        page.evaluate("(hash) => (location.hash = hash)", f"#/{project}/label/{frame}")
+        page.evaluate("(hash) => (location.hash = hash)", f"#/{project}/annotate/{frame}")
         wait_for_frame(page, frame)
         watch(page, "pointerup", ".views img.picture", False)
         draw_box(page, box)

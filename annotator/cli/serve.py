@@ -50,9 +50,9 @@ def serve(
 
 
 def first_page(name: str, root: Path) -> str:
-    """The page to open first: review if the project has proposals, else label."""
-    with options.open_named(name, root) as project:
-        return f"{name}/review" if project.statistics().frames_with_proposals else f"{name}/label"
+    """The page to open first, of a project that exists."""
+    with options.open_named(name, root):
+        return f"{name}/annotate"
 
 
 def live(

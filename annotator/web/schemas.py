@@ -248,7 +248,7 @@ class ImageBoxesJson(Schema):
 
 
 class ObjectJson(Schema):
-    """An object drawn in Label mode: its image box, the views with their boxes, and its label's uid once finished."""
+    """An object drawn on pseudo-views: its image box, the views with their boxes, and its label's uid once finished."""
 
     image_box: Box2DJson
     views: list[tuple[ViewJson, Box2DJson | None]]

@@ -341,7 +341,7 @@ async def _refuse(error: AnnotatorError, scope: Scope, receive: Receive, send: S
 
 
 def link(address: str, token: str | None, place: str | None = None) -> str:
-    """The URL to open in a browser, optionally at a place of the page such as `room/review`."""
+    """The URL to open in a browser, optionally at a place of the page such as `room/annotate`."""
     if token is None:
         return address if place is None else f"{address}#/{place}"
     return f"{address}?{urlencode({'token': token} if place is None else {'token': token, 'go': place})}"

@@ -57,7 +57,7 @@ def main() -> None:
                 camera, boxes = unlabelled_boxes(projects / "room", recordings / "room", frame)
                 if not boxes:
                     continue
-                go_to(page, f"room/label/{frame}")
+                go_to(page, f"room/annotate/{frame}")
                 draw(page, camera, boxes)
                 if frame == LABELLED[0]:
                     follow(page)
@@ -173,7 +173,8 @@ def draw(page: Page, camera: Camera, boxes: list[Box2D]) -> None:
     picture.wait_for()
     is_first = page.get_by_test_id("kind-box").get_attribute("aria-checked") == "false"
     click(page, "kind-box")
-    for box in reversed(boxes):
+    click(page, "views-pseudo")
+    for number, box in enumerate(reversed(boxes), start=1):
         drag(page, *corners_on_page(page, "image-editor", box, camera))
         page.get_by_test_id("view-side-2").locator(".box.suggested").wait_for()
         if is_first:
@@ -182,9 +183,10 @@ def draw(page: Page, camera: Camera, boxes: list[Box2D]) -> None:
             keep(page, "guide_draw")
             correct(page)
             keep(page, "guide_correct")
-        page.keyboard.press("Enter")
-        page.locator('[data-testid="object"].current[data-boxes="5"]').wait_for()
+        page.keyboard.press("Space")
+        page.locator('[data-testid="frame-box"][data-state="accepted"]').nth(number - 1).wait_for()
         page.wait_for_timeout(SETTLED_MS)
+    click(page, "views-along")
 
 
 def correct(page: Page) -> None:
@@ -198,8 +200,6 @@ def correct(page: Page) -> None:
 
 def follow(page: Page) -> None:
     """All reviewed boxes of the frame, through the recording."""
-    click(page, "mode-review")
-    page.get_by_test_id("frame-box").first.wait_for()
     page.wait_for_timeout(SETTLED_MS)
     page.keyboard.press("l")
     page.get_by_test_id("follow").locator("xpath=self::*[not(@data-state='running')]").wait_for()

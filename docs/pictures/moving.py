@@ -71,7 +71,7 @@ def main() -> None:
         with workbench(root) as address, chromium() as browser:
             page = signed_in(browser, address)
             film = Film(page)
-            go_to(page, "people/label/1")
+            go_to(page, "people/annotate/1")
             draw(film, recording)
             follow(film)
             review(film)
@@ -79,7 +79,7 @@ def main() -> None:
 
 
 def draw(film: Film, recording: Path) -> None:
-    """One box on the image; the detector's boxes; Enter."""
+    """One box on the image; the 3D box; Space."""
     page, text = film.page, "1   Drag one box on the image"
     camera, boxes = true_boxes(recording, 0)
     page.get_by_test_id("kind-box").click()
@@ -93,20 +93,18 @@ def draw(film: Film, recording: Path) -> None:
         page.mouse.move(x, y)
         film.take(text, 90, (x, y))
     page.mouse.up()
-    page.get_by_test_id("view-side-2").locator(".box.suggested").wait_for()
+    page.get_by_test_id("ortho-side").locator("rect.line").wait_for()
     wait_for_3d(page)
-    film.take("2   The 3D box is there, dashed, with its four views", 1900, end)
-    page.keyboard.press("Enter")
-    page.locator('[data-testid="object"].current[data-boxes="5"]').wait_for()
+    film.take("2   The 3D box is there, with views along its axes", 1900, end)
+    page.keyboard.press("Space")
+    page.locator('[data-testid="frame-box"][data-state="accepted"]').wait_for()
     page.wait_for_timeout(NEXT_MS)
-    film.take("3   Enter accepts it", 1100)
+    film.take("3   Space takes it", 1100)
 
 
 def follow(film: Film) -> None:
     """The box is followed, and shown in the next frames."""
     page, text = film.page, "4   V follows it through the recording"
-    page.get_by_test_id("mode-review").click()
-    page.get_by_test_id("frame-box").first.wait_for()
     page.get_by_test_id("queue-order").select_option("time")
     wait_for_3d(page)
     page.keyboard.press("v")

@@ -70,7 +70,7 @@ def signed_in(browser: Browser, address: str) -> Page:
 
 
 def go_to(page: Page, place: str) -> None:
-    """Opens a place of the page, such as `room/review`; the link would sign in once more, and lead to the start."""
+    """Opens a place of the page, such as `room/annotate`; the link would sign in once more, and lead to the start."""
     page.evaluate("place => { location.hash = `/${place}`; }", place)
 
 

@@ -132,9 +132,6 @@ type Frames = ReturnType<typeof import("../../web_assets/js/frame_state.js").cre
 type Viewport = ReturnType<typeof import("../../web_assets/js/viewport.js").createViewport>;
 type JobLine = ReturnType<typeof import("../../web_assets/js/jobs.js").createJobLine>;
 
-/** A box that was drawn in Review, to be completed in Label. */
-type Given = { project: string; frame: number; image_box: Box2D };
-
 /** The object that each mode receives; js/main.js creates it. */
 interface App {
   api: Client;
@@ -144,10 +141,9 @@ interface App {
   keys: Keys;
   state: State;
   viewport: Viewport | null;
-  given: Given | null;
   toast: typeof import("../../web_assets/js/dialogs.js").toast;
-  /** Goes to an address from router.makeHash; `given` is for the mode that the address names. */
-  go(hash: string, given?: Given | null): void;
+  /** Goes to an address from router.makeHash. */
+  go(hash: string): void;
   /** The path of a resource of the open project: app.path("frames", 3). */
   path(...parts: (string | number)[]): string;
   /** Reads the project's summary again, into state.project. */
@@ -302,7 +298,7 @@ type Gesture = {
   cancel: () => void;
 };
 
-// -- Label
+// -- Annotate: what is drawn on the pseudo-views
 
 type ViewBox = Box2D | null;
 
@@ -318,6 +314,8 @@ type Item = {
   /** The detectors whose boxes were accepted. */
   suggested: (Api.Suggestion | null)[];
   stored: Box2D | null;
+  /** The new box that was found in its image box, while nothing is drawn for it. */
+  found: string | null;
 };
 
 /**
@@ -353,26 +351,19 @@ type Draft = {
 /** A dashed box on the image. */
 type Guess = { item: Item; image_box: Box2D; caption: string };
 
-/** The state that the files of Label mode share. */
+/** The state that the files about the pseudo-views share. */
 interface Work {
   items: Item[];
   /** The current object. */
   draft: Draft | null;
-  /** Class of the next box. */
-  label: string;
-  picked: string;
   /** The object that is selected on the image. */
   selected: Item | null;
   /** Objects that were replaced by another operator's version, but are still shown. */
   notSaved: Item[];
   /** The boxes that the image detector found. */
   detections: Box2D[];
-  frameShown: number | null;
-  /** Resolves when the current object's views are on the screen. */
+  /** Resolves when the current object's views are loaded. */
   loaded: Promise<void>;
-  /** Identifies the views that are being loaded, or null. */
-  coming: object | null;
-  point_size: number;
   readonly isReadonly: boolean;
   /** What the boxes enclose. */
   readonly kind: Api.BoxKind;
@@ -387,8 +378,6 @@ type FrameChange = {
   done?: (answer: Api.SaveOut) => void;
   /** The change is not sent before this resolves. */
   after?: Promise<unknown>;
-  /** It touches nothing that others draw: it is sent again without asking, and dropped if it is refused. */
-  isSmall?: boolean;
   item?: Item;
   /** Gives its boxes the new names of classes. */
   relabel?: (named: Naming) => void;
@@ -403,20 +392,15 @@ type Waiting = (FrameChange | LaterChange) & { frame: number; made?: FrameChange
 
 type AskSteps = (draft: Draft, suggest: boolean, signal: AbortSignal) => Promise<Api.StepsOut>;
 
-type Order = ReturnType<typeof import("../../web_assets/js/label/frames.js").createOrder>;
-type OrderName = "teach" | "time";
-type Saver = ReturnType<typeof import("../../web_assets/js/label/saver.js").createSaver>;
-type StepLoader = ReturnType<typeof import("../../web_assets/js/label/draft.js").createStepLoader>;
-type Suggester = ReturnType<typeof import("../../web_assets/js/label/suggestions.js").createSuggester>;
-type WholeBoxes = ReturnType<typeof import("../../web_assets/js/label/suggestions.js").createWholeBoxes>;
-type Prefetch = ReturnType<typeof import("../../web_assets/js/label/frames.js").createPrefetch>;
-type ViewsPane = ReturnType<typeof import("../../web_assets/js/label/views_pane.js").createViewsPane>;
-type Objects = ReturnType<typeof import("../../web_assets/js/label/objects.js").createObjects>;
-type Panel = typeof import("../../web_assets/js/label/side_panel.js");
+type Saver = ReturnType<typeof import("../../web_assets/js/annotate/saver.js").createSaver>;
+type StepLoader = ReturnType<typeof import("../../web_assets/js/annotate/draft.js").createStepLoader>;
+type Suggester = ReturnType<typeof import("../../web_assets/js/annotate/suggestions.js").createSuggester>;
+type WholeBoxes = ReturnType<typeof import("../../web_assets/js/annotate/suggestions.js").createWholeBoxes>;
+type Teach = ReturnType<typeof import("../../web_assets/js/annotate/teach.js").createTeach>;
 
-// -- Review
+// -- Annotate: boxes
 
-/** A label as Review shows it: stored, or new (`isNew`), which is not stored until it is accepted. */
+/** A label as the page shows it: stored, or new (`isNew`), which is not stored until it is accepted. */
 type PageLabel = Omit<Api.LabelJson, "source" | "author" | "box"> & {
   box: Box3D;
   source: string;
@@ -427,8 +411,8 @@ type PageLabel = Omit<Api.LabelJson, "source" | "author" | "box"> & {
 /** The values of a label that an operator may change. */
 type Wanted = { label: string; track_id: number | null; box: Box3D };
 
-type Desk = ReturnType<typeof import("../../web_assets/js/review/desk.js").createDesk>;
-type Opening = ReturnType<typeof import("../../web_assets/js/review/opening.js").createOpening>;
+type Desk = ReturnType<typeof import("../../web_assets/js/annotate/desk.js").createDesk>;
+type Opening = ReturnType<typeof import("../../web_assets/js/annotate/opening.js").createOpening>;
 type DeskEvent = "frame" | "selection" | "draft" | "saving";
 /** One of `Api.ChangesIn`. */
 type Change = {
@@ -453,8 +437,8 @@ type NewLabel = {
   problem: string | null;
   sending: Promise<boolean> | null;
 };
-type QueueItem = Api.ItemJson & { uid: string };
-type Queue = ReturnType<typeof import("../../web_assets/js/review/queue.js").createQueue>;
+type QueueItem = Api.ItemJson;
+type Queue = ReturnType<typeof import("../../web_assets/js/annotate/queue.js").createQueue>;
 /** A box of a frame, or without a uid the frame itself. */
 type Target = { frame: number; uid: string | null };
 

@@ -58,10 +58,10 @@ def serving(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 def test_it_serves_the_page_until_an_interrupt(root: Path) -> None:
     with serving("room", "--projects", str(root), "--open") as (process, address), httpx.Client(timeout=240) as client:
-        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/\?token=[\w-]{43}&go=room%2Flabel", address)
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/\?token=[\w-]{43}&go=room%2Fannotate", address)
         bare = address.partition("?")[0]
         assert httpx.get(bare, timeout=240).status_code == 401
-        assert "url=/#/room/label" in client.get(address).text
+        assert "url=/#/room/annotate" in client.get(address).text
         answer = client.get(bare)
         assert answer.status_code == 200
         assert "<html" in answer.text

@@ -26,7 +26,7 @@ function keysIn(mode, ...ids) {
 }
 
 test("a key has its modifiers in one order, and letters in capitals", () => {
-  const { press, told } = keysIn("review", "undo", "redo", "accept", "accept-all", "previous-of-track", "attribute");
+  const { press, told } = keysIn("annotate", "undo", "redo", "accept", "accept-all", "previous-of-track", "attribute");
   press("z", { ctrlKey: true });
   press("z", { metaKey: true, shiftKey: true }); // as on a Mac
   press(" ");
@@ -44,7 +44,7 @@ test("a key has its modifiers in one order, and letters in capitals", () => {
 });
 
 test("a digit is the class on every layout, and a key that no handler has is the browser's", () => {
-  const { press, told } = keysIn("review", "class");
+  const { press, told } = keysIn("annotate", "class");
   assert.equal(press("é", { code: "Digit2" }), true);
   assert.equal(press("2", { code: "Digit2" }), true);
   assert.equal(press("x"), false);
@@ -52,21 +52,21 @@ test("a digit is the class on every layout, and a key that no handler has is the
 });
 
 test("a key works in its own modes, and the newest handler has it", () => {
-  const { keys, press, told } = keysIn("label", "reject", "box-kind", "draw-box");
+  const { keys, press, told } = keysIn("train", "reject", "draw-box");
   press("x");
   press("b");
-  keys.setMode("review");
+  keys.setMode("annotate");
   const forget = keys.register({ reject: () => void told.push("newer") });
   press("x");
   forget();
   press("x");
   press("b");
-  assert.deepEqual(told, ["box-kind B", "newer", "reject X", "draw-box B"]);
+  assert.deepEqual(told, ["newer", "reject X", "draw-box B"]);
   assert.throws(() => keys.register({ nothing() {} }), /no row 'nothing'/);
 });
 
 test("what is typed into a field belongs to it", () => {
-  const { press } = keysIn("review", "accept", "reject", "undo", "attribute", "next-box", "regions");
+  const { press } = keysIn("annotate", "accept", "reject", "undo", "attribute", "next-box", "regions");
   const [text, number, select, button] = [
     { tagName: "INPUT", type: "text" },
     { tagName: "INPUT", type: "number" },
@@ -89,7 +89,7 @@ test("what is typed into a field belongs to it", () => {
 });
 
 test("no two rows have the same key in a mode", () => {
-  for (const mode of ["label", "review"]) {
+  for (const mode of ["annotate"]) {
     const all = KEYS.filter(({ modes }) => modes === null || modes.includes(mode)).flatMap(({ keys }) => keys);
     assert.deepEqual(
       all.filter((key, i) => all.indexOf(key) !== i),

@@ -4,11 +4,10 @@ import assert from "node:assert/strict";
 import { beforeEach, mock, test } from "node:test";
 import { ApiError } from "../../web_assets/js/errors.js";
 import { createFrameState } from "../../web_assets/js/frame_state.js";
-import { createOrder } from "../../web_assets/js/label/frames.js";
-import { createDesk } from "../../web_assets/js/review/desk.js";
-import { createPreload } from "../../web_assets/js/review/preload.js";
-import { createQueue } from "../../web_assets/js/review/queue.js";
-import { copiedText } from "../../web_assets/js/review/tracks.js";
+import { createDesk } from "../../web_assets/js/annotate/desk.js";
+import { createPreload } from "../../web_assets/js/annotate/preload.js";
+import { createQueue } from "../../web_assets/js/annotate/queue.js";
+import { copiedText } from "../../web_assets/js/annotate/tracks.js";
 import { makeHash, parseHash } from "../../web_assets/js/router.js";
 import { followImports } from "../../web_assets/js/jobs.js";
 import { fakeApp, frameState, freshStorage, held, settled } from "./fakes.js";
@@ -297,30 +296,21 @@ test("copies with few points are counted", () => {
   }
 });
 
-test("the most useful frame that was not seen is next, or the next in time", async () => {
-  const queue = { items: [4, 2, 5].map((frame) => ({ frame })), remaining: 3 };
-  const app = fakeApp({ get: async () => queue });
-  const order = createOrder(app);
-  const open = (id) => {
-    app.state.frame = { frame: { id, previous: id - 1, next: id + 1 } };
-    order.opened(id);
-  };
-  open(4);
-  assert.equal(await order.next(), 2);
-  open(2);
-  assert.equal(await order.next(), 5);
-  open(5);
-  assert.equal(await order.next(), 4, "all were seen: not the same again");
-  assert.equal(order.previous(), 2, "the one before, not the one before in time");
-  order.by = "time";
-  assert.deepEqual([await order.next(), order.previous()], [6, 4]);
+test("frames to draw on follow one another, and a frame is not its own next one", async () => {
+  const items = [4, 2, 5].map((frame) => ({ frame, uid: null }));
+  const queue = createQueue(fakeApp({ get: async () => ({ items, remaining: 3 }) }), () => {});
+  await queue.choose({ order: "teach" });
+  assert.deepEqual(
+    [4, 2, 5, 9].map((frame) => queue.after(null, frame)?.frame),
+    [2, 5, 4, 4],
+  );
 });
 
 test("addresses name a project, a mode and a frame", () => {
-  const hash = makeHash("a b", "review", 3, { uid: "x", empty: null });
-  assert.equal(hash, "#/a%20b/review/3?uid=x");
+  const hash = makeHash("a b", "annotate", 3, { uid: "x", empty: null });
+  assert.equal(hash, "#/a%20b/annotate/3?uid=x");
   const { project, mode, frame, query } = parseHash(hash);
-  assert.deepEqual([project, mode, frame, query.get("uid")], ["a b", "review", 3, "x"]);
-  assert.deepEqual([parseHash("#/").mode, parseHash("#/room/nonsense/x").mode], ["start", "label"]);
-  assert.equal(parseHash("#/room/label/x").frame, null);
+  assert.deepEqual([project, mode, frame, query.get("uid")], ["a b", "annotate", 3, "x"]);
+  assert.deepEqual([parseHash("#/").mode, parseHash("#/room/nonsense/x").mode], ["start", "annotate"]);
+  assert.equal(parseHash("#/room/review/x").frame, null);
 });

@@ -1,4 +1,4 @@
-"""What the tests in a real browser use: the mouse, a page in Label mode (`Bench`), and one in Review mode (`Desk`)."""
+"""What the tests in a real browser use: the mouse, a page with pseudo-views (`Bench`), one with proposals (`Desk`)."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def drag_box(page: Page, editor: str, box: dict[str, Any], width: int, height: i
 
 
 def answers_drag(drawn: int) -> Callable[[Response], bool]:
-    """True for the answer, in Label mode, to a change after which an object has this many boxes on its views."""
+    """True for the answer to a change after which an object has this many boxes on its views."""
 
     def is_answer(response: Response) -> bool:
         if not response.url.endswith("/label/object"):
@@ -126,7 +126,7 @@ EDGES = ("x_min", "y_min", "x_max", "y_max")
 
 @dataclass(eq=False)
 class Bench:
-    """A page in Label mode, its project, and the true objects of its frame."""
+    """A page that shows the pseudo-views, its project, and the true objects of its frame."""
 
     page: Page
     live: Live
@@ -153,11 +153,11 @@ class Bench:
 
     @property
     def hint(self) -> str:
-        return self.page.get_by_test_id("hint").inner_text()
+        return self.page.get_by_test_id("image-note").inner_text()
 
     def saved(self) -> None:
         """Waits until all changes are saved."""
-        self.page.wait_for_selector(".label-mode:not([data-saving])")
+        self.page.wait_for_selector(".annotate:not([data-saving])")
         assert self.page.get_by_test_id("save-problem").inner_text() == ""
 
     def draw_on_image(self, number: int) -> dict[str, Any]:
@@ -206,7 +206,7 @@ FRAMES = 3
 
 @dataclass(eq=False)
 class Desk:
-    """A page in Review mode, and its project."""
+    """A page with proposals, and its project."""
 
     page: Page
     live: Live
@@ -225,7 +225,7 @@ class Desk:
     @property
     def frame(self) -> int:
         """The id of the shown frame."""
-        return int(self.page.url.split("/review/")[1].split("?")[0])
+        return int(self.page.url.split("/annotate/")[1].split("?")[0])
 
     @property
     def uid(self) -> str:
@@ -263,11 +263,11 @@ class Desk:
 
 
 def begin(page: Page, shop: Shop) -> Desk:
-    """Opens Review mode of a new project with proposals; the most doubtful one is selected."""
+    """Opens a new project with proposals; the most doubtful one is selected."""
     project = shop.new_project("proposed")
-    page.goto(f"/#/{project.path.name}/review")
+    page.goto(f"/#/{project.path.name}/annotate")
     desk = Desk(page, shop.live, project)
-    page.locator(f"[data-testid=review-image] img.picture[src*='/{desk.name}/']").wait_for()
+    page.locator(f"[data-testid=image-editor] img.picture[src*='/{desk.name}/']").wait_for()
     desk.settled()
     return desk
 

@@ -141,7 +141,7 @@ def test_the_link_sets_a_cookie(app: FastAPI) -> None:
     answer = ask(app, "GET", "/", params={"token": TOKEN, "go": "room/review"})
     assert answer.status_code == 200
     assert TOKEN not in answer.text
-    assert "url=/#/room/review" in answer.text
+    assert "url=/#/room/annotate" in answer.text
     assert "<script" not in answer.text
     cookie = answer.headers["set-cookie"]
     assert "httponly" in cookie.lower()
@@ -159,7 +159,7 @@ def test_the_link_leads_only_to_parts_of_the_page(app: FastAPI) -> None:
         assert 'url=/"' in ask(app, "GET", "/", params={"token": TOKEN, "go": go}).text
     # the link of an earlier start leads a known browser to the page, too
     answer = ask(app, "GET", "/", params={"token": "of-an-earlier-start", "go": "room/label"}, cookies={NAME: SECRET})
-    assert "url=/#/room/label" in answer.text
+    assert "url=/#/room/annotate" in answer.text
 
 
 def test_few_tokens_can_be_guessed_and_few_requests_sent_without_one(

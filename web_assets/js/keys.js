@@ -22,9 +22,7 @@ import { leaveField } from "./dom.js";
  * @property {string} group
  */
 
-const LABEL = ["label"];
-const REVIEW = ["review"];
-const EDITING = [...LABEL, ...REVIEW];
+const ANNOTATE = ["annotate"];
 const EVERYWHERE = null;
 
 /** @type {KeyRow[]} */
@@ -35,7 +33,7 @@ export const KEYS = [
     ["help", ["?"], "Show this table"],
     ["regions", ["F6"], "Move the focus to the top bar and back"],
   ]),
-  ...rows("Frames and boxes", EDITING, [
+  ...rows("Frames and boxes", ANNOTATE, [
     ["next-frame", ["N", "PageDown"], "Next frame"],
     ["previous-frame", ["P", "PageUp"], "Previous frame"],
     ["next-box", ["Tab"], "Next box"],
@@ -51,13 +49,8 @@ export const KEYS = [
     ["cancel", ["Escape"], "Cancel the drag, then deselect"],
     ["finalise", ["Ctrl+Enter"], "Finalise the frame"],
   ]),
-  ...rows("Label", LABEL, [
-    ["accept-suggestion", ["Enter"], "Accept the suggested (dashed) boxes, or the whole box, of the object"],
-    ["box-kind", ["B"], "Boxes enclose the visible part / the whole object"],
-    ["next-whole-box", ["W"], "Show another whole box (dashed) for a finished object"],
-  ]),
-  ...rows("Review", REVIEW, [
-    ["accept", ["Space"], "Accept, then go to the next: of the queue, or else of this frame"],
+  ...rows("Boxes", ANNOTATE, [
+    ["accept", ["Space", "Enter"], "Accept, then go to the next: of the queue, or else of this frame", ["Space"]],
     [
       "accept-all",
       ["Shift+Space"],
@@ -72,8 +65,10 @@ export const KEYS = [
     ["gizmo-off", ["Y"], "Hide the gizmo"],
     ["draw-box", ["B", "Insert"], "New box: drag on the image (also without this key)", ["B"]],
     ["copy-previous", ["C"], "Copy boxes from the previous frame"],
+    ["teach", ["D"], "Pseudo-views, with the 2D boxes that teach the detectors, or views along the box"],
+    ["next-whole-box", ["W"], "Show another whole box (dashed) for an object whose visible part is drawn"],
   ]),
-  ...rows("Tracks", REVIEW, [
+  ...rows("Tracks", ANNOTATE, [
     ["follow", ["V"], "Follow this reviewed or new box through the recording"],
     ["follow-back", ["Shift+V"], "Follow it backward", ["Shift", "V"]],
     ["follow-all", ["L"], "Follow all reviewed boxes of this frame"],
@@ -86,20 +81,17 @@ export const KEYS = [
     ["next-of-track", ["Shift+N"], "Next frame of this object", ["Shift", "N"]],
     ["previous-of-track", ["Shift+P"], "Previous frame of this object", ["Shift", "P"]],
   ]),
-  ...rows("View", EDITING, [
+  ...rows("View", ANNOTATE, [
     ["points-larger", ["+", "="], "Larger points", ["+"]],
     ["points-smaller", ["-"], "Smaller points"],
     ["fit", ["0", "Home"], "Fit the pictures to their panels"],
   ]),
-  ...rows("2D boxes", EDITING, [
+  ...rows("2D boxes", ANNOTATE, [
     ["nudge", arrows(["", "Shift+"]), "Move the box by 1 px, with Shift by 10", ["← ↑ → ↓"]],
     ["nudge-size", arrows(["Alt+", "Alt+Shift+"]), "Move its right or lower edge", ["Alt", "← ↑ → ↓"]],
-    // the 2D editor handles these itself, and those of Label without a key
+    // the 2D editor handles these itself
     ["editor-zoom", [], "Zoom about the pointer", ["Wheel"]],
     ["editor-force", [], "Draw a new box over a selected one", ["Shift", "drag"]],
-  ]),
-  ...rows("2D boxes", LABEL, [
-    ["new-box", ["Insert"], "New box in the middle"],
     ["editor-pan", [], "Pan (or the middle button, or two fingers)", ["Space", "drag"]],
   ]),
 ];

@@ -21,8 +21,7 @@ import { createViewport } from "./viewport.js";
 /** @type {Record<string, string>} */
 const MODULES = {
   start: "./start/start.js",
-  label: "./label/label.js",
-  review: "./review/review.js",
+  annotate: "./annotate/annotate.js",
   train: "./train/train.js",
   export: "./export/export.js",
   statistics: "./stats/stats.js",
@@ -63,10 +62,8 @@ function createApp() {
     keys: createKeys(),
     state,
     viewport: null,
-    given: null,
     toast,
-    go(hash, given = null) {
-      made.given = given;
+    go(hash) {
       if (location.hash === hash) void follow();
       else location.hash = hash;
     },
@@ -116,8 +113,6 @@ async function mayLeave() {
 }
 
 function comeBack(/** @type {Omit<Route, "query">} */ { project, mode, frame }) {
-  // `given` was for a mode that is not opened
-  app.given = null;
   history.replaceState(null, "", project === null ? "#/" : makeHash(project, mode, frame));
   app.state.set({ route: parseHash(location.hash) });
 }
@@ -134,7 +129,7 @@ async function travel(/** @type {"undo" | "redo"} */ direction, /** @type {boole
     toast(`${direction === "undo" ? "Undone" : "Redone"}: ${done}`);
     if (frame === null || state === null) await refreshProject();
     else if (app.state.frame?.frame.id === frame) app.frames.take(state);
-    else if (mode === "label" || mode === "review") app.go(makeHash(project, mode, frame));
+    else if (mode === "annotate") app.go(makeHash(project, mode, frame));
   } catch (error) {
     if (!(error instanceof ApiError) || error.status !== 409) toast(error);
     else if (error.body.frame === undefined || skip) toast(error, "warn");
@@ -148,7 +143,7 @@ async function travel(/** @type {"undo" | "redo"} */ direction, /** @type {boole
  */
 async function readjust(/** @type {Messages["adjusted"]} */ { recording, operator }) {
   const { route, frame } = app.state;
-  if (!["label", "review"].includes(route.mode) || frame?.frame.recording !== recording) return;
+  if (route.mode !== "annotate" || frame?.frame.recording !== recording) return;
   toast(`${operator} has changed this recording's calibration or which way is up.`);
   await follow(true);
 }
@@ -193,7 +188,7 @@ async function catchUp() {
   const { route, frame } = app.state;
   try {
     await refreshProject();
-    if (!["label", "review"].includes(route.mode) || frame === null) return;
+    if (route.mode !== "annotate" || frame === null) return;
     /** @type {FrameState} */
     const now = await app.api.get(app.path("frames", frame.frame.id));
     const isShown = app.state.route.project === route.project && app.state.frame?.frame.id === frame.frame.id;

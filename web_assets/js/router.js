@@ -1,9 +1,9 @@
 /** The page's addresses: #/ · #/PROJECT/MODE · #/PROJECT/MODE/FRAME, each with an optional ?query. */
 
-const MODES = ["label", "review", "train", "export", "statistics", "checks", "alignment"];
+const MODES = ["annotate", "train", "export", "statistics", "checks", "alignment"];
 
 /**
- * "#/hands/label/3?uid=ab" -> {project: "hands", mode: "label", frame: 3, query: URLSearchParams}.
+ * "#/hands/annotate/3?uid=ab" -> {project: "hands", mode: "annotate", frame: 3, query: URLSearchParams}.
  *
  * @returns {Route}
  */
@@ -14,7 +14,8 @@ export function parseHash(/** @type {string} */ hash) {
   if (!project) return { project: null, mode: "start", frame: null, query };
   return {
     project,
-    mode: MODES.includes(mode) ? mode : "label",
+    // also for the addresses of the modes Label and Review, of which it is made
+    mode: MODES.includes(mode) ? mode : "annotate",
     frame: /^\d+$/.test(frame) ? Number(frame) : null,
     query,
   };
@@ -28,7 +29,7 @@ function decode(/** @type {string} */ part) {
   }
 }
 
-/** The address of a mode: makeHash("hands", "review", 3, {uid: "ab"}). */
+/** The address of a mode: makeHash("hands", "annotate", 3, {uid: "ab"}). */
 export function makeHash(
   /** @type {string} */ project,
   /** @type {string} */ mode,

@@ -9,15 +9,14 @@ import { makeHash } from "./router.js";
 import { signOut } from "./session.js";
 
 const TABS = [
-  ["label", "Label"],
-  ["review", "Review"],
+  ["annotate", "Annotate"],
   ["train", "Train"],
   ["export", "Export"],
   ["statistics", "Statistics"],
   ["checks", "Checks"],
   ["alignment", "Alignment"],
 ];
-const WITH_FRAME = new Set(["label", "review", "alignment"]);
+const WITH_FRAME = new Set(["annotate", "alignment"]);
 
 export function mountTopbar(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
   const parts = [

@@ -1,4 +1,4 @@
-"""Boxes in Label and Review: the views and the 3D box of what is drawn so far, suggestions, saving; views along a box's
+"""Boxes in Annotate: the views and the 3D box of what is drawn so far, suggestions, saving; views along a box's
 axes, refitting, fitting to an image box, copying; the queue, statistics and checks.
 """
 

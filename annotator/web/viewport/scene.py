@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     OnGizmo = Callable[[viser.TransformControlsEvent], Coroutine[None, None, None]]
 
-# The same colours as in the page (web_assets/js/review/drawing.js).
+# The same colours as in the page (web_assets/js/annotate/drawing.js).
 STATE_COLORS: dict[ReviewState, tuple[int, int, int]] = {
     ReviewState.PROPOSED: (240, 173, 78),
     ReviewState.ACCEPTED: (95, 202, 133),

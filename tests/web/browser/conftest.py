@@ -218,7 +218,7 @@ def room(shop: Shop) -> Project:
 
 @pytest.fixture
 def desk(shared_page: Page, shop: Shop) -> Desk:
-    """Review mode of a new project with proposals, without the 3D view; the most doubtful proposal is selected."""
+    """A new project with proposals, without the 3D view; the most doubtful proposal is selected."""
     return begin(shared_page, shop)
 
 
@@ -232,11 +232,12 @@ def desk_3d(shared_page_3d: Page, shop: Shop) -> Desk:
 
 @pytest.fixture
 def bench(shared_page: Page, shop: Shop) -> Bench:
-    """Label mode on a frame without labels, without the 3D view."""
+    """A frame without labels, with the pseudo-views, without the 3D view."""
     project = shop.new_project()
-    shared_page.goto(f"/#/{project.path.name}/label/{FRAME}")
+    shared_page.goto(f"/#/{project.path.name}/annotate/{FRAME}")
     shown = f"img.picture[src*='/{project.path.name}/frames/{FRAME}/']"
     shared_page.get_by_test_id("image-editor").locator(shown).wait_for()
+    shared_page.get_by_test_id("views-pseudo").click()
     return Bench(shared_page, shop.live, project, Scene.of(shop.recording, 0, ("person",)))
 
 
@@ -258,6 +259,7 @@ def teach(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
         bench.page.route(f"**{bench.api}", lambda route: route.fulfill(json={**info, "detectors": models}))
         bench.page.reload()
         bench.page.get_by_test_id("image-editor").locator("img.picture[src]").wait_for()
+        bench.page.get_by_test_id("views-pseudo").click()
 
     return taught
 

@@ -158,7 +158,7 @@ def test_what_is_unknown_unreadable_or_changed_by_others_is_explained(
     page.get_by_test_id("discard-correction").click()
     expect(turn).to_have_value("1.15")
     # Label opens the frame anew
-    page.goto(f"/#/{room.path.name}/label/1")
+    page.goto(f"/#/{room.path.name}/annotate/1")
     image.wait_for()
     before = image.get_attribute("src")
     room.adjustments.correct(1, Correction((0.0, 0.03, 0.0)), "Bob")

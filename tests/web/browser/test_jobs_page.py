@@ -190,7 +190,7 @@ def test_statistics_follow_the_work_and_checks_lead_to_its_boxes(shared_page: Pa
     link = page.get_by_test_id("checks-attribute").get_by_test_id("warning").filter(has_text="000001")
     expect(link).to_contain_text("this frame has no value of rain, which is required")
     link.click()
-    expect(page).to_have_url(re.compile(rf"/label/{other.id}$"))
+    expect(page).to_have_url(re.compile(rf"/annotate/{other.id}$"))
 
 
 @pytest.mark.usefixtures("jobs_on_path")
@@ -223,7 +223,7 @@ def test_a_coco_file_becomes_proposals(
         expect(card).to_contain_text(f"{people} proposed")
     drawn = project.boxes.on_images()
     # undone on the page, as one action
-    start.goto(f"/#/{name}/label/{drawn[0].frame_id}")
+    start.goto(f"/#/{name}/annotate/{drawn[0].frame_id}")
     objects = start.get_by_test_id("object")
     expect(objects).to_have_count(len(drawn[0].boxes))
     start.keyboard.press("Control+z")
@@ -293,7 +293,7 @@ def test_3d_boxes_of_two_detectors_are_proposed_and_their_sources_shown(
     propose("mine", (0.0, 0.8), (0.6, 0.2))
     assert [each.name for each in project.config.attributes] == ["age"]
     propose("theirs", (0.02, 0.6), (-0.6, 0.8), (1.5, 0.2), lowest="0.3")
-    start.goto(f"/#/{name}/review")
+    start.goto(f"/#/{name}/annotate")
     items = start.get_by_test_id("queue-item")
     expect(items).to_have_count(3)
     expect(start.get_by_test_id("queue-said")).to_have_text(["mine", "mine +1", "theirs"])

@@ -108,7 +108,7 @@ def test_the_gizmo_of_the_3d_view_moves_the_box(desk_3d: Desk, wait_for) -> None
 
 
 def draw_on_image(desk: Desk, box: dict[str, Any]) -> None:
-    drag_box(desk.page, "review-image", box, 320, 240)
+    drag_box(desk.page, "image-editor", box, 320, 240)
 
 
 def test_boxes_are_drawn_by_a_drag_fitted_again_and_copied_from_the_previous_frame(desk: Desk, wait_for) -> None:
@@ -124,7 +124,7 @@ def test_boxes_are_drawn_by_a_drag_fitted_again_and_copied_from_the_previous_fra
     page = desk.page
     page.reload()
     desk.settled()
-    x, y = middle(page.get_by_test_id("review-image").locator("img.picture"))
+    x, y = middle(page.get_by_test_id("image-editor").locator("img.picture"))
     fits: list[dict[str, Any]] = []
 
     def keep(route: Any) -> None:
@@ -132,7 +132,7 @@ def test_boxes_are_drawn_by_a_drag_fitted_again_and_copied_from_the_previous_fra
         route.abort()
 
     page.route("**/fit", keep)
-    boxes = page.get_by_test_id("review-image").get_by_test_id("editor-box")
+    boxes = page.get_by_test_id("image-editor").get_by_test_id("editor-box")
     drag(page, (x, y), (x + 5, y + 5))
     expect(boxes).to_have_count(0)
     page.mouse.move(x, y)
@@ -166,7 +166,7 @@ def test_boxes_are_drawn_by_a_drag_fitted_again_and_copied_from_the_previous_fra
     expect(toast).to_contain_text("Fewer than 5 points lie in this box, too few for a 3D box")
     expect(toast).to_contain_text("copy its box here")
     expect(desk.page.get_by_test_id("image-note")).to_have_text("")
-    assert f"/review/{desk.frame}" in desk.page.url
+    assert f"/annotate/{desk.frame}" in desk.page.url
     desk.page.unroute("**/fit")
 
     # fitting again starts from the box
@@ -191,7 +191,7 @@ def test_boxes_are_drawn_by_a_drag_fitted_again_and_copied_from_the_previous_fra
         context = WriteContext(desk.project.frames.get(frames[FRAMES - 1]).revision, "Bob")
         desk.project.labels.accept(frames[FRAMES - 1], label.uid, context)
     before = desk.project.labels.of_frame(frames[FRAMES - 1])
-    desk.page.goto(f"/#/{desk.name}/review/{frames[FRAMES]}")
+    desk.page.goto(f"/#/{desk.name}/annotate/{frames[FRAMES]}")
     desk.page.get_by_test_id("frame-summary").get_by_text("0 boxes").wait_for()
     desk.press("c")
     wait_for(lambda: len(desk.project.labels.of_frame(frames[FRAMES])) == len(before))
@@ -264,21 +264,21 @@ def test_a_new_box_is_drawn_on_the_image(
     expect(page.get_by_test_id("follow-title")).to_contain_text("Followed forward")
     assert desk.project.labels.count([ReviewState.ACCEPTED]) == 2
 
-    # without a detector, the box is continued in Label
+    # without a detector, the box is continued on the pseudo-views
     monkeypatch.setattr(detectors, "readiness", lambda project, role, wait_s=None: Readiness("none"))
     desk.settled()
     frame = desk.frame
-    page.goto(f"/#/{desk.name}/review/{frame}")
+    page.goto(f"/#/{desk.name}/annotate/{frame}")
     desk.settled()
-    draw_on_image(desk, scene.image_box(1))
-    expect(page).to_have_url(re.compile(f"/label/{frame}$"))
+    draw_on_image(desk, scene.image_box(0))
+    expect(page).to_have_url(re.compile(f"/annotate/{frame}$"))
     expect(page.get_by_test_id("toast-warn").last).to_contain_text("There is no pseudo-view detector yet")
     expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "1")
-    page.wait_for_selector(".label-mode:not([data-saving])")
+    page.wait_for_selector(".annotate:not([data-saving])")
     state = desk.live.client.get(f"{desk.api}/frames/{frame}").json()
     assert [len(drawn["views"]) for drawn in state["objects"]] == [0]
     (kept,) = state["image_boxes"]["boxes"]
-    assert all(abs(kept[edge] - scene.image_box(1)[edge]) < 0.6 for edge in ("x_min", "y_min", "x_max", "y_max"))
+    assert all(abs(kept[edge] - scene.image_box(0)[edge]) < 0.6 for edge in ("x_min", "y_min", "x_max", "y_max"))
 
 
 STARTS_S = 60.0
@@ -293,7 +293,7 @@ PAGE = """async ([project, left, top, width, height]) => {
     state: state.createState({ route: { project } }) };
   app.api = api.createApi(app.effort, () => {});
   app.events.follow(project);
-  app.keys.setMode("review");
+  app.keys.setMode("annotate");
   app.keys.listen(window);
   window.pressed = [];
   app.keys.register({ accept: () => pressed.push("Space"), "next-box": () => pressed.push("Tab"),

@@ -57,7 +57,7 @@ def visit_another(desk: Desk) -> tuple[int, str]:
     waiting = {stored.frame_id for stored in desk.project.labels.select(states=[ReviewState.PROPOSED])}
     place = next(place for place, frame in enumerate(ids) if frame in waiting - {desk.frame})
     position = f"{place + 1} / {len(ids)}"
-    desk.page.goto(f"/#/{desk.name}/review/{ids[place]}")
+    desk.page.goto(f"/#/{desk.name}/annotate/{ids[place]}")
     expect(desk.page.get_by_test_id("frame-position")).to_have_text(position)
     desk.settled()
     return ids[place], position
@@ -237,7 +237,7 @@ def test_fields_and_keys_set_values_and_the_queue_filters_by_them(desk: Desk, wa
     expect(page.get_by_test_id("queue-item")).to_have_count(1)
     assert desk.uid == uid
     # the values are at the box, and in its row
-    expect(page.get_by_test_id("review-image").get_by_text("pose=sitting, mass=81.5")).to_be_visible()
+    expect(page.get_by_test_id("image-editor").get_by_text("pose=sitting, mass=81.5")).to_be_visible()
     expect(page.locator(f'[data-testid="frame-box"][data-uid="{uid}"]')).to_have_attribute(
         "title", "pose=sitting, mass=81.5"
     )
@@ -360,7 +360,7 @@ def test_frames_are_changed_finalised_and_shown_with_their_problem(
     desk: Desk, wait_for, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     frames = [stored.id for stored in desk.project.frames.of()]
-    desk.page.goto(f"/#/{desk.name}/review/{frames[0]}")
+    desk.page.goto(f"/#/{desk.name}/annotate/{frames[0]}")
     expect(desk.page.get_by_test_id("frame-position")).to_have_text("1 / 5")
     desk.press("n")
     expect(desk.page.get_by_test_id("frame-position")).to_have_text("2 / 5")
@@ -389,7 +389,6 @@ def test_frames_are_changed_finalised_and_shown_with_their_problem(
     # an unreadable frame shows its error instead of its image
     first, second, third = frames[:3]
     page, cache = desk.page, desk.live.context.caches.frames
-    page.evaluate("localStorage.setItem('label-order', 'time')")
     truncated = FrameError(Path("people/depth/000001.png"), "the file is truncated", "copy it again")
     read = cache.open
 
@@ -400,26 +399,24 @@ def test_frames_are_changed_finalised_and_shown_with_their_problem(
 
     monkeypatch.setattr(cache, "open", broken)
     problem = page.get_by_test_id("frame-problem")
-    for mode, picture in (("review", "review-image"), ("label", "image-editor")):
-        page.goto(f"/#/{desk.name}/{mode}/{first}")
-        shown = page.get_by_test_id(picture).locator("img.picture")
-        expect(shown).to_have_attribute("src", re.compile(f"/frames/{first}/"))
-        page.get_by_role("button", name="Next frame in time").click()
-        expect(problem).to_contain_text("the file is truncated")
-        expect(problem).to_contain_text("copy it again")
-        expect(shown).to_be_hidden()
-        expect(page.locator('[data-testid="frame-box"], [data-testid="object"]')).to_have_count(0)
-        expect(page).to_have_url(re.compile(f"/{mode}/{second}$"))
-        page.get_by_test_id("frame-next").click()
-        expect(page).to_have_url(re.compile(f"/{mode}/{third}$"))
-        expect(problem).to_be_hidden()
-        page.get_by_role("button", name="Previous frame in time").click()
-        expect(problem).to_be_visible()
-        monkeypatch.setattr(cache, "open", read)
-        page.get_by_test_id("frame-retry").click()
-        expect(shown).to_have_attribute("src", re.compile(f"/frames/{second}/"))
-        expect(problem).to_be_hidden()
-        monkeypatch.setattr(cache, "open", broken)
+    page.goto(f"/#/{desk.name}/annotate/{first}")
+    shown = page.get_by_test_id("image-editor").locator("img.picture")
+    expect(shown).to_have_attribute("src", re.compile(f"/frames/{first}/"))
+    page.get_by_role("button", name="Next frame in time").click()
+    expect(problem).to_contain_text("the file is truncated")
+    expect(problem).to_contain_text("copy it again")
+    expect(shown).to_be_hidden()
+    expect(page.locator('[data-testid="frame-box"], [data-testid="object"]')).to_have_count(0)
+    expect(page).to_have_url(re.compile(f"/annotate/{second}$"))
+    page.get_by_test_id("frame-next").click()
+    expect(page).to_have_url(re.compile(f"/annotate/{third}$"))
+    expect(problem).to_be_hidden()
+    page.get_by_role("button", name="Previous frame in time").click()
+    expect(problem).to_be_visible()
+    monkeypatch.setattr(cache, "open", read)
+    page.get_by_test_id("frame-retry").click()
+    expect(shown).to_have_attribute("src", re.compile(f"/frames/{second}/"))
+    expect(problem).to_be_hidden()
 
 
 def test_stale_and_failed_edits_are_neither_lost_nor_forced(desk: Desk, wait_for) -> None:

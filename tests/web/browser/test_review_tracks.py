@@ -28,7 +28,7 @@ def of_track(desk: Desk, frame: int, track_id: int = 7) -> list[Label]:
 def test_a_track_is_continued_filled_and_stepped_through(desk: Desk, wait_for) -> None:
     page, project = desk.page, desk.project
     frames = [stored.id for stored in project.frames.of()]
-    page.goto(f"/#/{desk.name}/review/{frames[0]}")
+    page.goto(f"/#/{desk.name}/annotate/{frames[0]}")
     expect(page.get_by_test_id("frame-position")).to_have_text("1 / 5")
     desk.settled()
     uid = desk.uid
@@ -75,7 +75,7 @@ def test_a_track_is_continued_filled_and_stepped_through(desk: Desk, wait_for) -
     first = project.labels.get(uid).label
     context = WriteContext(project.frames.get(frames[3]).revision, "bob")
     project.labels.create(frames[3], [NewLabel(first.label, first.box, track_id=7)], context)
-    page.goto(f"/#/{desk.name}/review/{frames[3]}")
+    page.goto(f"/#/{desk.name}/annotate/{frames[3]}")
     expect(page.get_by_test_id("frame-position")).to_have_text("4 / 5")
     expect(page.get_by_test_id("track-tick")).to_have_count(2)
     desk.settled()
@@ -101,7 +101,7 @@ def test_the_operator_chooses_which_of_two_boxes_of_a_track_stays(desk: Desk, wa
     project.log.append(
         frame, [LabelChanged(uid=one, track_id=7)], WriteContext(project.frames.get(frame).revision, "bob")
     )
-    page.goto(f"/#/{desk.name}/review/{frame}?uid={two}")
+    page.goto(f"/#/{desk.name}/annotate/{frame}?uid={two}")
     page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{two}"]').wait_for()
     desk.settled()
 
@@ -148,7 +148,7 @@ def test_wrong_boxes_are_clicked_out_on_the_sheet_and_the_others_accepted(desk: 
 
     # the pictures are asked for before the sheet is opened
     with page.expect_request(lambda request: request.url.endswith("/tracks/7/sheet")):
-        page.goto(f"/#/{desk.name}/review/{frames[0].id}?uid={first}")
+        page.goto(f"/#/{desk.name}/annotate/{frames[0].id}?uid={first}")
     page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{first}"]').wait_for()
     desk.settled()
     desk.press("s")
@@ -198,7 +198,7 @@ def test_a_frames_boxes_are_accepted_together_and_later_ones_corrected_alike(des
     before = [of_track(desk, frame.id)[0].box.size_m[0] for frame in frames]
     uid = of_track(desk, frames[0].id)[0].uid
     page.goto("about:blank")
-    page.goto(f"/#/{desk.name}/review/{frames[0].id}?uid={uid}")
+    page.goto(f"/#/{desk.name}/annotate/{frames[0].id}?uid={uid}")
     page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{uid}"]').wait_for()
     expect(page.get_by_test_id("act-carry")).to_be_disabled()
     desk.settled()
@@ -234,7 +234,7 @@ def accept_truth(desk: Desk, index: int, objects: int = 1) -> list[str]:
 def show(desk: Desk, index: int, uid: str) -> None:
     """Opens a frame of the project in Review, with a label selected."""
     page, frame = desk.page, desk.project.frames.of()[index]
-    page.goto(f"/#/{desk.name}/review/{frame.id}?uid={uid}")
+    page.goto(f"/#/{desk.name}/annotate/{frame.id}?uid={uid}")
     expect(page.get_by_test_id("frame-position")).to_have_text(f"{index + 1} / 5")
     page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{uid}"]').wait_for()
     desk.settled()

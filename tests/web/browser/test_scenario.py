@@ -81,14 +81,14 @@ def test_from_an_empty_folder_to_a_downloaded_dataset(
     get("open-crowd").click()
 
     # all visible objects of two frames are drawn
-    get("order").select_option("time")
+    get("views-pseudo").click()
     drawn = 0
     for index in LABELLED:
         go_to_frame(page, index)
         for number in range(len(scenes[index].objects)):
             Bench(page, live, live.context.project("crowd"), scenes[index]).draw_object(number)
             drawn += 1
-        expect(get("object")).to_have_count(len(scenes[index].objects))
+        expect(get("frame-box")).to_have_count(len(scenes[index].objects))
 
     monkeypatch.setitem(WORK, "train", "knowing_jobs:train")
     get("mode-train").click()

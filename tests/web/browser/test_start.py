@@ -197,12 +197,13 @@ def test_open_pages_follow_a_project_that_is_renamed_removed_missing_or_not_answ
     page, position, offline = start, start.get_by_test_id("frame-position"), start.locator(".offline")
     problem = page.get_by_test_id("page-problem")
     shop.projects += ["palace", "later"]
-    page.goto(f"/#/{room.path.name}/label/2")
+    page.goto(f"/#/{room.path.name}/annotate/2")
     expect(position).to_have_text("2 / 5")
     live.client.post(f"/api/projects/{room.path.name}/rename", json={"name": "palace"})
     expect(page.get_by_test_id("toast-info")).to_contain_text("Ada has renamed this project to palace.")
-    expect(page).to_have_url(f"{live.url}/#/palace/label/2")
-    page.get_by_test_id("next-frame").click()
+    expect(page).to_have_url(f"{live.url}/#/palace/annotate/2")
+    page.get_by_test_id("image-editor").locator("img.picture[src*='/palace/']").wait_for()
+    page.keyboard.press("n")
     expect(position).not_to_have_text("2 / 5")
 
     # a page that could not be opened is opened once the server is back
@@ -216,7 +217,7 @@ def test_open_pages_follow_a_project_that_is_renamed_removed_missing_or_not_answ
     live.context.hub.close()  # ends all connections; the page connects again
     expect(page.get_by_test_id("statistics")).to_be_visible()
 
-    page.goto("/#/palace/label/2")
+    page.goto("/#/palace/annotate/2")
     expect(position).to_have_text("2 / 5")
     live.client.delete("/api/projects/palace/recordings/1")
     expect(page.get_by_test_id("toast-warn")).to_contain_text("Ada has removed this recording from the project.")
@@ -232,7 +233,7 @@ def test_open_pages_follow_a_project_that_is_renamed_removed_missing_or_not_answ
     create_project(live.settings.projects_root, "later", ("hand",)).close()
     page.evaluate("dispatchEvent(new Event('focus'))")  # back from the terminal
     expect(problem).to_be_hidden()
-    expect(page.get_by_test_id("mode-label")).to_be_visible()
+    expect(page.get_by_test_id("mode-annotate")).to_be_visible()
 
     # the note of a lost connection does not stay on the start page
     lost = [True]  # such a route stays on the shared page
@@ -262,17 +263,13 @@ def test_virtual_cameras_are_added_and_share_a_label(start: Page, shop: Shop) ->
     start.get_by_test_id("dialog-done").click()
     project, tag = shop.live.context.project("rig"), start.get_by_test_id("editor-tag")
     uid = label_object(project, 2, -10.0)
-    start.goto("/#/rig/review/3")
+    start.goto("/#/rig/annotate/3")
     expect(tag).to_have_text(["car #3 · accepted"])
     # what changes in the other camera is shown at once
     project.labels.delete(2, uid, WriteContext(project.frames.get(2).revision, "maria", Source.MANUAL))
     expect(tag).to_have_count(0)
-    start.goto("/#/rig/label/3")
-    start.get_by_test_id("image-editor").locator("img.picture[src]").wait_for()
-    objects = start.get_by_role("region", name="Objects of the frame")
-    expect(objects).to_contain_text("No objects in this frame yet")
     label_object(project, 2, -10.0)
-    expect(objects).to_contain_text("accepted")
+    expect(tag).to_have_count(1)
     start.goto("/#/rig/alignment/3")
     expect(start.get_by_test_id("correction-effect")).to_contain_text("no calibration to correct")
     expect(start.get_by_test_id("keep-correction")).to_be_hidden()

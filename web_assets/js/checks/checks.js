@@ -108,8 +108,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   }
 
   function row(/** @type {Api.WarningRow} */ { frame, key, recording, uid, message }) {
-    const mode = uid === null ? "label" : "review";
-    const href = makeHash(app.state.route.project, mode, frame, { uid });
+    const href = makeHash(app.state.route.project, "annotate", frame, { uid });
     return h(
       "li",
       {},

@@ -162,7 +162,11 @@ function card(project, { add, addBoxes, locate, change, line, menu }) {
   const proposed = labels.proposed ?? 0;
   const title = problem
     ? h("h2", { class: "ellipsis" }, name)
-    : h("h2", { class: "ellipsis" }, h("a", { href: makeHash(name, "label"), "data-testid": `open-${name}` }, name));
+    : h(
+        "h2",
+        { class: "ellipsis" },
+        h("a", { href: makeHash(name, "annotate"), "data-testid": `open-${name}` }, name),
+      );
   const box = h("section", { class: "panel project", "data-testid": `project-${name}`, "aria-label": name }, [
     h("div", { class: "row" }, h("span", { class: "grow ellipsis" }, title), menu),
   ]);
@@ -180,10 +184,7 @@ function card(project, { add, addBoxes, locate, change, line, menu }) {
   boxesButton.title = "Import 2D boxes on camera images, or 3D boxes as proposals or labels, from a file";
   boxesButton.hidden = !project.recordings;
   const links = project.recordings
-    ? [
-        link(name, "label", "Label"),
-        link(name, "review", proposed ? `Review ${proposed.toLocaleString("en")}` : "Review", proposed > 0),
-      ]
+    ? [link(name, "annotate", proposed ? `Review ${proposed.toLocaleString("en")}` : "Annotate", proposed > 0)]
     : [];
   box.append(
     h(

@@ -129,7 +129,7 @@ export function createPropose(/** @type {HTMLElement} */ host, /** @type {ModeAp
     const waiting = project.labels_by_state.proposed ?? 0;
     review.hidden = waiting === 0;
     review.textContent = `Review ${count(waiting, "proposal")}`;
-    review.href = makeHash(project.name, "review");
+    review.href = makeHash(project.name, "annotate");
   }
 
   return {

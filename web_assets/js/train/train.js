@@ -322,7 +322,7 @@ function nothingYet(/** @type {ModeApp} */ app) {
     "div",
     { class: "empty" },
     h("p", {}, "There are no boxes to train on yet. Draw a few objects first; each takes five 2D boxes."),
-    h("a", { class: "button", href: `#/${encodeURIComponent(app.state.route.project)}/label` }, "Label objects"),
+    h("a", { class: "button", href: `#/${encodeURIComponent(app.state.route.project)}/annotate` }, "Label objects"),
   );
 }
 

@@ -1,12 +1,14 @@
 /** The column on the left: the queue of proposals, and the boxes of the open frame. */
 
 import { valuesText } from "../attributes.js";
-import { button, count, h, patch } from "../dom.js";
+import { button, count, h, iconButton, patch } from "../dom.js";
 import { isAborted } from "../errors.js";
 import { isOpen } from "./desk.js";
 import { shortName } from "./drawing.js";
 import { summary } from "./fields.js";
+import { DRAGS, progressOf } from "./items.js";
 import { ORDERS, OWN } from "./queue.js";
+import { makeHash } from "../router.js";
 import { createValueFilter, refill } from "./value_filter.js";
 
 /** Rows of the queue that are shown around the current one. */
@@ -88,7 +90,19 @@ export function createQueueList(
 
   /** Shown in place of the items if there are none. */
   function nothing() {
-    if (!queue.isFiltered) return ["No proposals left to review."];
+    const { name } = app.state.project;
+    if (!queue.isFiltered)
+      return [
+        h(
+          "p",
+          { "data-testid": "review-done" },
+          "Nothing is left to review. Draw a box on the image, ",
+          h("a", { href: makeHash(name, "train") }, "propose more"),
+          ", or ",
+          h("a", { href: makeHash(name, "export") }, "export"),
+          ".",
+        ),
+      ];
     const clear = () => {
       for (const select of [label, source]) select.value = "";
       values.clear();
@@ -104,16 +118,13 @@ export function createQueueList(
     fill,
     show(/** @type {string | null} */ uid) {
       showSources();
-      left.textContent = count(queue.remaining, "proposal");
-      const at = Math.max(
-        0,
-        queue.items.findIndex((item) => item.uid === uid),
-      );
+      left.textContent = count(queue.remaining, queue.order === "teach" ? "frame" : "proposal");
+      const frame = app.state.frame?.frame.id;
+      const isShown = (/** @type {QueueItem} */ item) => (item.uid === null ? item.frame === frame : item.uid === uid);
+      const at = Math.max(0, queue.items.findIndex(isShown));
       const from = Math.max(0, Math.min(at - ROWS / 2, queue.items.length - ROWS));
       const recordings = new Map((app.state.project?.recordings ?? []).map(({ id, name }) => [id, name]));
-      const rows = queue.items
-        .slice(from, from + ROWS)
-        .map((item) => queueRow(item, recordings, item.uid === uid, open));
+      const rows = queue.items.slice(from, from + ROWS).map((item) => queueRow(item, recordings, isShown(item), open));
       patch(list, rows.length > 0 ? rows : h("li", { class: "muted pad" }, ...nothing()));
       // not again, so that an operator who looks elsewhere in the list is left there
       if (uid !== current) list.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
@@ -132,10 +143,10 @@ function queueRow(
   const place = `${recordings.size > 1 ? `${recordings.get(item.recording) ?? ""} ` : ""}${item.key}`;
   return h(
     "li",
-    { "data-key": item.uid },
+    { "data-key": item.uid ?? `frame ${item.frame}` },
     button(
       [
-        h("span", { class: "ellipsis grow" }, item.label),
+        h("span", { class: "ellipsis grow" }, item.label ?? "draw"),
         isOurs ? null : saidBy(item.sources),
         h("span", { class: "muted ellipsis number" }, place),
         doubtBar(item.doubt),
@@ -144,7 +155,7 @@ function queueRow(
       {
         class: "quiet row-button",
         "aria-current": isCurrent ? "true" : null,
-        title: `${item.label}, frame ${place}${isOurs ? "" : `, seen by ${item.sources.join(", ")}`}`,
+        title: `${item.label ?? "Nothing is drawn yet"}, frame ${place}${isOurs ? "" : `, seen by ${item.sources.join(", ")}`}`,
         "data-testid": "queue-item",
         "data-uid": item.uid,
       },
@@ -172,7 +183,12 @@ function doubtBar(/** @type {number | null} */ doubt) {
 /**
  * The boxes of the frame; if several are open, with a small picture of each, so that they can be accepted together.
  */
-export function createBoxList(/** @type {HTMLElement} */ host, /** @type {ModeApp} */ app, /** @type {Desk} */ desk) {
+export function createBoxList(
+  /** @type {HTMLElement} */ host,
+  /** @type {ModeApp} */ app,
+  /** @type {Desk} */ desk,
+  /** @type {() => Teach} */ teach,
+) {
   const title = h("h2", {}, "In this frame");
   const note = h("p", { class: "muted pad", "data-testid": "frame-summary" });
   const list = h("ul", { class: "rows", "data-testid": "frame-boxes" });
@@ -188,6 +204,7 @@ export function createBoxList(/** @type {HTMLElement} */ host, /** @type {ModeAp
     patch(
       list,
       labels.map((label) => boxRow(app, label, desk, hasPictures ? (pictures.get(label.uid) ?? "") : null)),
+      teach().unfinished.map((item) => unfinishedRow(item, teach())),
     );
   }
 
@@ -250,5 +267,30 @@ function boxRow(app, label, desk, picture) {
         "data-state": label.state,
       },
     ),
+  );
+}
+
+/** An object that is being drawn: it has no 3D box yet. */
+function unfinishedRow(/** @type {Item} */ item, /** @type {Teach} */ teach) {
+  const { label } = item.image_box;
+  const done = progressOf(item);
+  const dots = Array.from({ length: DRAGS }, (_, i) => h("i", { class: i < done ? "on" : "" }));
+  return h(
+    "li",
+    { class: "row unfinished", "data-testid": "object", "data-boxes": done },
+    button(
+      [
+        h("span", { class: "ellipsis grow" }, label),
+        h("span", { class: "dots", "aria-hidden": "true" }, dots),
+        h("span", { class: "muted" }, `${done} of ${DRAGS} boxes`),
+      ],
+      () => teach.open(item),
+      {
+        class: "quiet row-button",
+        title: "Continue on its pseudo-views",
+        "aria-current": item === teach.draft?.item ? "true" : null,
+      },
+    ),
+    iconButton("trash", `Delete this ${label}`, () => teach.remove(item)),
   );
 }

@@ -1,5 +1,5 @@
 /**
- * The state of Review, without any display: the selected box, unsaved edits, and the changes that are sent to the
+ * The state of Annotate, without any display: the selected box, unsaved edits, and the changes that are sent to the
  * server one after the other.
  *
  * A box that is being dragged is a draft: `preview` shows it everywhere without a request, `commit` saves it as one
@@ -12,7 +12,7 @@ import { copyBox, sameBox } from "../box3d.js";
 import { count } from "../dom.js";
 import { isStale, isTrackTaken, messageOf } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
-import { chooseBox, resolveStale } from "./stale.js";
+import { chooseBox, resolveStale } from "./versions.js";
 
 /** True if a label has not been reviewed yet. */
 export const isOpen = (/** @type {{ state: Api.ReviewState }} */ label) => label.state === "proposed";
@@ -297,6 +297,8 @@ export function createDesk(/** @type {App} */ app) {
     /** A stored box as it was before it was corrected on this page, or null. */
     formerBox: (/** @type {string} */ id) => former.get(id) ?? null,
     isDraft: (/** @type {string} */ id) => drafts.has(id),
+    /** The box on the image in which a new box was found, or null. */
+    imageBox: (/** @type {string} */ id) => added.get(id)?.image_box ?? null,
     /** The reason why a label could not be saved, or null. */
     problemOf: (id = uid) => drafts.get(id)?.problem ?? added.get(id)?.problem ?? null,
 
@@ -357,6 +359,8 @@ export function createDesk(/** @type {App} */ app) {
     settle,
     enqueue,
     change,
+    /** Removes a new box, which another object replaces. */
+    drop: remove,
 
     /** Shows the selected label with other values, without saving them. */
     preview(/** @type {Partial<Wanted>} */ changes) {

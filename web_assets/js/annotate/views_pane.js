@@ -23,8 +23,6 @@ const VIEWS = [
  * @property {HTMLElement} element
  * @property {HTMLElement} caption
  * @property {string} name
- * @property {string | null} url
- * @property {Promise<boolean>} shown
  */
 
 /**
@@ -41,7 +39,7 @@ export function createViewsPane(app, { onBox, onClear, onAcceptAll, newLabel }) 
   const messages = [0, 1].map((step) =>
     h("p", { class: "views-message", role: "status", "data-testid": step ? "views-message-2" : "views-message" }),
   );
-  const accept = button(["Accept ", h("kbd", {}, "Enter")], () => onAcceptAll(), {
+  const accept = button(["Accept ", h("kbd", {}, "Space")], () => onAcceptAll(), {
     class: "primary",
     hidden: true,
     "data-testid": "accept-all",
@@ -74,7 +72,7 @@ export function createViewsPane(app, { onBox, onClear, onAcceptAll, newLabel }) 
       },
     });
     host.append(caption);
-    return { editor, element: host, caption, name, url: null, shown: Promise.resolve(true) };
+    return { editor, element: host, caption, name };
   }
 
   /** @param {Draft | null} draft the current object. */
@@ -89,10 +87,9 @@ export function createViewsPane(app, { onBox, onClear, onAcceptAll, newLabel }) 
       pair.classList.toggle("has-views", text === null);
       pair.hidden = text === "";
     });
-    panes.forEach((pane, index) => {
-      const { editor, caption, name } = pane;
+    panes.forEach(({ editor, caption, name }, index) => {
       const view = views[index] ?? null;
-      showPicture(pane, view);
+      void editor.setPicture(view?.url ?? null, view?.width, view?.height);
       const box = draft?.item.boxes[index] ?? null;
       const suggested = box ? null : (draft?.suggestions[index] ?? null);
       const list = box ? [{ ...box, caption: "" }] : suggested ? [{ ...suggested, suggested: true, caption: "" }] : [];
@@ -101,21 +98,11 @@ export function createViewsPane(app, { onBox, onClear, onAcceptAll, newLabel }) 
     });
   }
 
-  function showPicture(/** @type {Pane} */ pane, /** @type {Api.ViewJson | null} */ view) {
-    const url = view?.url ?? null;
-    const shown = pane.editor.setPicture(url, view?.width, view?.height);
-    // for the same picture the editor resolves at once, although it may still be loading
-    if (url !== pane.url) pane.shown = shown;
-    pane.url = url;
-  }
-
   const editors = panes.map(({ editor }) => editor);
   return {
     root,
     show,
     editors,
-    /** Resolves when the pictures are on the screen. */
-    shown: () => Promise.all(panes.map((pane) => pane.shown)),
     setReadonly(/** @type {boolean} */ value) {
       for (const editor of editors) editor.setReadonly(value);
     },
@@ -129,29 +116,22 @@ export function createViewsPane(app, { onBox, onClear, onAcceptAll, newLabel }) 
 
 const SIDES = ["front", "side"];
 
-/**
- * @param {{draft: Draft | null, isReadonly: boolean, label: string, hasItems: boolean, guesses: number,
- *     notSaved: number, isWholeOffered: boolean}} situation
- */
-export function hintFor({ draft, isReadonly, label, hasItems, guesses, notSaved, isWholeOffered }) {
+/** @param {{draft: Draft | null, isReadonly: boolean, notSaved: number, isWholeOffered: boolean}} situation */
+export function hintFor({ draft, isReadonly, notSaved, isWholeOffered }) {
   if (isReadonly) return "This frame is finalised. Reopen it to change something.";
   if (notSaved) return "Click the dashed box marked 'yours, not saved' to save it.";
-  if (!draft && guesses) return "Press Enter to accept a dashed box, drag to correct it, or draw your own box.";
-  if (!draft)
-    return hasItems
-      ? `Draw a box around the next ${label}, or press N for the next frame.`
-      : `Draw a box around a ${label}.`;
+  if (!draft) return "Select a box, or draw one around an object on the image.";
   const name = draft.item.image_box.label;
   if (isWholeOffered) {
     const others = (draft.whole?.boxes.length ?? 0) > 1 ? ", W shows another one" : "";
-    return `The ${name} is finished. Enter confirms the dashed box as the whole ${name}${others}.`;
+    return `The ${name} is finished. Space takes the dashed box as the whole ${name}${others}.`;
   }
   if (draft.item.uid && draft.item.boxes.every(Boolean))
-    return `The ${name} is finished. Draw a box around the next one, or press N for the next frame.`;
-  if (draft.stop) return "Change its box on the image, or delete it. In Review, C copies the previous frame's boxes.";
+    return `The ${name} is finished. Draw a box around the next one.`;
+  if (draft.stop) return "Change its box on the image, or delete it. C copies the previous frame's boxes.";
   if (draft.isLoading) return `Looking for the ${name} …`;
   if (!draft.steps.length) return "";
-  if (hasSuggestions(draft)) return "Enter accepts the dashed boxes. Or drag an edge.";
+  if (hasSuggestions(draft)) return "Space takes the dashed boxes. Or drag an edge.";
   const step = draft.item.boxes[0] && draft.item.boxes[1] ? 1 : 0;
   const missing = [2 * step, 2 * step + 1].filter((index) => !draft.item.boxes[index]);
   if (!missing.length) return "";

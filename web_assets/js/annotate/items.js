@@ -59,6 +59,7 @@ export function makeItem(imageBox, views = [], uid = null) {
     boxes: Array(VIEWS).fill(null),
     suggested: Array(VIEWS).fill(null),
     stored: null,
+    found: null,
   };
   views.forEach(([view, box], index) => {
     const isAlone = index === views.length - 1 && index % 2 === 0;

@@ -13,7 +13,12 @@ const POINT_LIMITS = [0.1, 10];
 /** Minimum time between updates for changes by others, ms; without a graphics card, one takes a third of a second. */
 const CALM_MS = { card: 300, software: 2500, none: 0 };
 
-export function createScene(/** @type {HTMLElement} */ host, /** @type {ModeApp} */ app, /** @type {Desk} */ desk) {
+export function createScene(
+  /** @type {HTMLElement} */ host,
+  /** @type {ModeApp} */ app,
+  /** @type {Desk} */ desk,
+  /** @type {() => Teach} */ teach,
+) {
   const body = h("div", { class: "viewport-host" });
   const note = h("span", { class: "muted number", "data-testid": "viewport-points" });
   /** @type {HTMLSelectElement} */
@@ -87,7 +92,7 @@ export function createScene(/** @type {HTMLElement} */ host, /** @type {ModeApp}
     const previews = others.map((label) => ({ uid: label.uid, box: desk.seen(label).box }));
     if (shown && (desk.hasDraft || shown.isNew)) previews.push({ uid: shown.uid, box: shown.box });
     /** @type {Scene3D} */
-    const scene = { frame: id, selected: desk.uid, previews, ...chosen, ...more };
+    const scene = { frame: id, selected: desk.uid, previews, draft: teach().sceneDraft(), ...chosen, ...more };
     const text = JSON.stringify(scene);
     if (text === sent.scene && revision === sent.revision) return;
     const waitMs = text === sent.scene ? sent.at + CALM_MS[viewport.graphics] - performance.now() : 0;

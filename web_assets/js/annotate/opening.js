@@ -1,4 +1,4 @@
-/** Opens frames in Review, and selects a box in each. */
+/** Opens frames, and selects a box in each. */
 
 import { isAborted } from "../errors.js";
 import { frameBeside } from "../frame_problem.js";
@@ -34,7 +34,6 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
    * @type {number | null}
    */
   let broken = null;
-  let seenQueue = false;
 
   /** Sets whether a frame is being opened; keys must not act meanwhile, because its boxes are not shown yet. */
   function setLoading(/** @type {boolean} */ value) {
@@ -102,14 +101,17 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
     if (frame === opened && desk.stored(uid)) desk.select(uid);
     else if (!(await open(frame, uid))) return;
     if (isFromQueue) sessionStorage.setItem(FROM_QUEUE, `${project}/${frame}`);
-    app.go(makeHash(project, "review", frame));
+    app.go(makeHash(project, "annotate", frame));
   }
 
+  /** Opens the next or previous frame in time; while the queue has frames to draw on, its next one. */
   async function step(/** @type {Direction} */ which) {
+    const useful = which === "next" && queue.order === "teach" ? queue.after(null, opened) : null;
+    if (useful) return go(useful, true);
     const next = broken === null ? (app.state.frame?.frame[which] ?? null) : await frameBeside(app, broken, which);
     if (next === null)
       app.toast(which === "next" ? "This is the recording's last frame." : "This is the recording's first frame.");
-    else app.go(makeHash(project, "review", next));
+    else app.go(makeHash(project, "annotate", next));
   }
 
   /** Opens the frame of the page's URL, or else the first one of the queue. */
@@ -118,7 +120,6 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
     // the frame can be reviewed without the queue
     try {
       await queue.load();
-      seenQueue = true;
     } catch (error) {
       app.toast(error);
     }
@@ -133,10 +134,6 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
   return {
     get loading() {
       return loading;
-    },
-    /** True once the queue was read. */
-    get seenQueue() {
-      return seenQueue;
     },
     /**
      * The operator works through the queue: the open frame was taken from it. Another one, which the operator has

@@ -2,28 +2,20 @@
 
 import { messageOf } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
-import { objectChange, removal } from "./changes.js";
-import { isFinished } from "./display.js";
-import { createMoves, demoteSecondStep, makeDraft, takeSteps } from "./draft.js";
-import { makeItem, plainBox, sameBox } from "./items.js";
-import { openGuesses } from "./work.js";
+import { createMoves, demoteSecondStep, drawnObject, makeDraft, takeSteps } from "./draft.js";
+import { exchanged, makeItem, plainBox, relabelItem, sameBox, suggestionOf } from "./items.js";
 
-/** Maximum time that the 3D view waits for the pictures of views. */
-const PICTURES_WAIT_MS = 400;
-
-/** Resolves after the page was painted: a task queued by an animation callback runs after the painting. */
-function painted() {
-  return new Promise((resolve) => requestAnimationFrame(() => setTimeout(resolve)));
-}
+/** True if an object has all its boxes and a label. */
+export const isFinished = (/** @type {Item} */ item) => Boolean(item.uid) && item.boxes.every(Boolean);
 
 /**
  * @param {ModeApp} app
  * @param {Work} work
- * @param {{ saver: Saver, loader: StepLoader, suggester: Suggester, whole: WholeBoxes, prefetch: Prefetch,
- *     image: Editor, views: ViewsPane, show: () => void }} parts
+ * @param {{ saver: Saver, loader: StepLoader, suggester: Suggester, whole: WholeBoxes, show: () => void,
+ *     onStored: (item: Item) => void }} parts onStored: called when an object is about to be stored.
  */
 export function createObjects(app, work, parts) {
-  const { saver, loader, suggester, whole, prefetch, image, views, show } = parts;
+  const { saver, loader, suggester, whole, show, onStored } = parts;
   const kind = () => work.kind;
   const moves = createMoves(loader);
 
@@ -39,13 +31,7 @@ export function createObjects(app, work, parts) {
     moves.leave(work.draft);
     const draft = moves.draftOf(item) ?? makeDraft(item, currentFrame(app).frame.id);
     work.draft = draft;
-    work.label = item.image_box.label;
     return draft;
-  }
-
-  function openLabel(/** @type {string} */ uid) {
-    const item = work.items.find((known) => known.uid === uid);
-    if (item) open(item);
   }
 
   /** Closes the current object. */
@@ -62,7 +48,6 @@ export function createObjects(app, work, parts) {
     if (!loading) return;
     const { item } = loading;
     suggester.stop();
-    prefetch.stop();
     try {
       // a moved object is saved afterwards, and the answer to that contains suggestions
       const isNewest = await moves.load(loading, !moves.isWaiting(item));
@@ -73,7 +58,7 @@ export function createObjects(app, work, parts) {
       if (moves.isWaiting(item)) loading.steps = [];
       if (work.draft !== loading) return;
     }
-    await showViews(loading);
+    showViews(loading);
   }
 
   /**
@@ -92,41 +77,32 @@ export function createObjects(app, work, parts) {
     if (work.draft === draft && draft.changes === changes) work.loaded = loadSteps();
   }
 
-  /** Shows new views; once they are on the screen, the 3D view and prefetching may begin. */
-  async function showViews(/** @type {Draft} */ draft) {
+  function showViews(/** @type {Draft} */ draft) {
     if (draft.item.boxes.every(Boolean)) draft.outline = null;
-    const own = {};
-    work.coming = own;
-    show();
-    await Promise.race([views.shown().then(painted), new Promise((resolve) => setTimeout(resolve, PICTURES_WAIT_MS))]);
-    if (work.coming !== own || work.draft !== draft) return;
-    work.coming = null;
     show();
     void suggester.follow(draft);
     void whole.follow(draft);
-    prefetch.start();
   }
 
   // -- boxes on the image
 
-  function onImageSelect(/** @type {number} */ index) {
-    const item = work.items[index];
-    work.selected = item ?? null;
-    if (item && item !== work.draft?.item) open(item);
-  }
-
+  /** The operator has changed a box on the image: that of an object, or a dashed one, which becomes an object. */
   function onImageChange(
-    /** @type {Box2D[]} */ boxes,
+    /** @type {Item} */ item,
+    /** @type {Box2D} */ box,
     /** @type {EditKind} */ why,
-    /** @type {number} */ index,
     /** @type {number} */ actions,
   ) {
     app.effort.action(actions);
-    if (index >= work.items.length && why !== "draw")
-      takeGuess(openGuesses(work)[index - work.items.length].item, boxes[index]);
-    else if (why === "draw") add(makeItem(plainBox(boxes[index])));
-    else if (why === "delete") removeItem(work.items[index]);
-    else changeImageBox(work.items[index], plainBox(boxes[index]));
+    if (!work.items.includes(item)) takeGuess(item, box);
+    else if (why === "delete") removeItem(item);
+    else changeImageBox(item, plainBox(box));
+  }
+
+  /** A box was drawn on the image for a new object. */
+  function draw(/** @type {Box2D} */ box) {
+    app.effort.action();
+    add(makeItem(plainBox(box)));
   }
 
   function add(/** @type {Item} */ item) {
@@ -191,7 +167,7 @@ export function createObjects(app, work, parts) {
     const isMove = index < 2 && [2, 3].some((later) => item.boxes[later]);
     if (isMove) followMove(draft);
     else save(draft);
-    if (item.boxes.every(Boolean)) image.select(-1);
+    if (item.boxes.every(Boolean)) work.selected = null;
     show();
   }
 
@@ -202,7 +178,7 @@ export function createObjects(app, work, parts) {
     app.effort.action();
     accept(draft, [0, 1, 2, 3]);
     save(draft);
-    if (draft.item.boxes.every(Boolean)) image.select(-1);
+    if (draft.item.boxes.every(Boolean)) work.selected = null;
     show();
     return true;
   }
@@ -231,7 +207,6 @@ export function createObjects(app, work, parts) {
   // -- the object as a whole
 
   function pickClass(/** @type {string} */ name) {
-    work.label = name;
     const item = work.draft?.item;
     if (item && !work.isReadonly && (work.selected === item || !isFinished(item)) && item.image_box.label !== name) {
       app.effort.action();
@@ -257,10 +232,11 @@ export function createObjects(app, work, parts) {
 
   /** Saves an object as it is now; while it waits for its views, it is saved when they are loaded. */
   function save(/** @type {Draft} */ draft) {
+    onStored(draft.item);
+    if (!work.items.includes(draft.item)) work.items = [...work.items, draft.item];
     draft.changes += 1;
     draft.whole = null;
     suggester.stop();
-    prefetch.stop();
     if (moves.isWaiting(draft.item)) return;
     draft.isLoading = true;
     saver.save(changeOf(draft));
@@ -276,7 +252,7 @@ export function createObjects(app, work, parts) {
         if (draft.changes !== changes) return;
         draft.isLoading = false;
         takeSteps(draft, drawn);
-        if (work.draft === draft) void showViews(draft);
+        if (work.draft === draft) showViews(draft);
       },
     });
   }
@@ -307,28 +283,85 @@ export function createObjects(app, work, parts) {
     show();
   }
 
-  function cycle(/** @type {number} */ direction) {
-    if (!work.items.length) return false;
-    const index = work.draft ? work.items.indexOf(work.draft.item) + direction : direction > 0 ? 0 : -1;
-    const item = work.items.at(index % work.items.length);
-    if (item) open(item);
-    return true;
-  }
-
   return {
     open,
-    openLabel,
     askAgain,
     close,
     acceptAll,
     onFailed,
-    onImageSelect,
     onImageChange,
+    draw,
     setViewBox,
     clearViewBox,
     pickClass,
     remove,
     onDropped,
-    cycle,
+  };
+}
+
+// -- the changes of a frame, for saver.js
+
+/**
+ * Saves an object as it is now. Afterwards `stored` is its image box, which later changes replace.
+ *
+ * @param {Draft} draft
+ * @param {object} options
+ * @param {Promise<unknown>} options.after
+ * @param {() => Api.BoxKind} options.kind
+ * @param {(drawn: Api.StepsOut) => void} options.onDrawn called with the views and suggestions that follow.
+ * @returns {FrameChange}
+ */
+export function objectChange(draft, { after, kind, onDrawn }) {
+  const { item, outline } = draft;
+  const drawn = drawnObject(draft);
+  const suggestion = suggestionOf(item);
+  const kept = { ...makeItem(drawn.image_box), boxes: item.boxes.slice(), views: item.views.slice() };
+  kept.stored = item.stored;
+  item.stored = drawn.image_box;
+  return {
+    path: ["label", "object"],
+    after,
+    item: kept,
+    relabel(named) {
+      relabelItem(kept, named);
+      drawn.image_box = named(drawn.image_box);
+      drawn.boxes = drawn.boxes.map(named);
+    },
+    body: (state) => ({
+      image_boxes: exchanged(state.image_boxes?.boxes ?? [], kept.stored, drawn.image_box),
+      box_kind: kind(),
+      object: { ...drawn, uid: state.labels.some(({ uid }) => uid === item.uid) ? item.uid : null, suggestion },
+    }),
+    done({ uid, drawn: following }) {
+      item.uid = uid ?? item.uid;
+      if (following) onDrawn(following);
+    },
+    mine: () => ({
+      text: [`${drawn.image_box.label}: its box on the image and ${drawn.boxes.filter(Boolean).length} on the views`],
+      boxes: [drawn.image_box],
+      outlines: outline ? [outline] : [],
+    }),
+  };
+}
+
+/**
+ * Deletes an object with its label.
+ *
+ * @returns {FrameChange}
+ */
+export function removal(/** @type {Item} */ item, /** @type {() => Api.BoxKind} */ kind) {
+  const { image_box } = item;
+  return {
+    path: ["changes"],
+    relabel: (named) => relabelItem(item, named),
+    // made when it is sent: the answer to an earlier change may contain the uid and the stored box
+    body: (state) => ({
+      subject: item.uid,
+      changes: [
+        ...(state.labels.some(({ uid }) => uid === item.uid) ? [{ kind: "delete", uid: item.uid }] : []),
+        { kind: "image_boxes", boxes: exchanged(state.image_boxes?.boxes ?? [], item.stored, null), box_kind: kind() },
+      ],
+    }),
+    mine: () => ({ text: [`Deletes this ${image_box.label}`], boxes: [image_box], outlines: [] }),
   };
 }

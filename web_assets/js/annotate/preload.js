@@ -33,7 +33,7 @@ export function createPreload(/** @type {App} */ app, /** @type {Desk} */ desk, 
 
   /** Loads the next box; a problem is shown when the box itself is opened. */
   async function loadNext(/** @type {AbortSignal} */ signal) {
-    const next = desk.uid === null ? null : queue.after(desk.uid);
+    const next = desk.uid === null ? null : queue.after(desk.uid, app.state.frame?.frame.id);
     if (!next) return;
     try {
       const known = app.state.frame;

@@ -1,25 +1,26 @@
 /**
- * Saves one change after the other, each based on the revision that resulted from the previous one. A change's body is
- * made when it is sent, from the frame's state at that time, so that it can be applied to the others' version. A
- * change is sent after its `after`: the views that follow from a drag are loaded first, so the server has them in its
- * cache.
+ * Saves drawn objects, one change after the other and in one line with those of the desk: each is based on the revision
+ * that resulted from the previous one. A change's body is made when it is sent, from the frame's state at that time, so
+ * that it can be applied to the others' version. A change is sent after its `after`: the views that follow from a drag
+ * are loaded first, so the server has them in its cache.
  */
 
 import { button, h, patch } from "../dom.js";
-import { ApiError, isStale } from "../errors.js";
+import { isStale } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 import { askVersion } from "../stale.js";
 import { naming } from "./items.js";
 
 /**
  * @param {App} app
+ * @param {Desk} desk
  * @param {object} listeners
  * @param {(state: FrameState) => void} listeners.onSaved called when the last waiting change is saved.
  * @param {(change: FrameChange | LaterChange) => void} listeners.onDropped the operator kept the others' version; this
  *     change is not saved.
  * @param {(isSaving: boolean) => void} listeners.onBusy called when saving begins, and when it ends or fails.
  */
-export function createSaver(app, { onSaved, onDropped, onBusy }) {
+export function createSaver(app, desk, { onSaved, onDropped, onBusy }) {
   /** @type {Waiting[]} */
   let waiting = [];
   /** @type {Promise<void> | null} */
@@ -56,17 +57,19 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
         waiting.shift();
         return;
       }
-      const state = await stateOf(frame);
-      namingsSent = namings;
-      const body = { revision: state.frame.revision, ...change.body(state) };
-      /** @type {FrameState | Api.SaveOut} */
-      const answer = await app.api.change(app.path("frames", frame, ...change.path), body);
-      if ("state" in answer) change.done?.(answer);
-      take("state" in answer ? answer.state : answer, frame);
+      const sent = change;
+      await desk.enqueue(async () => {
+        const state = await stateOf(frame);
+        namingsSent = namings;
+        const body = { revision: state.frame.revision, ...sent.body(state) };
+        /** @type {FrameState | Api.SaveOut} */
+        const answer = await app.api.change(app.path("frames", frame, ...sent.path), body);
+        if ("state" in answer) sent.done?.(answer);
+        take("state" in answer ? answer.state : answer, frame);
+      });
       waiting.shift();
     } catch (error) {
-      if (change?.isSmall && error instanceof ApiError && error.status !== 0) again(error);
-      else if (change && isStale(error)) await settle(error, change);
+      if (change && isStale(error)) await settle(error, change);
       // an error about a name that the change no longer has does not count: it is sent again
       else if (namingsSent === namings) problem = error instanceof Error ? error : new Error(String(error));
     }
@@ -86,17 +89,6 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
     if (app.state.frame?.frame.id !== frame) return;
     app.frames.take(state);
     if (waiting.length === 1) onSaved(currentFrame(app));
-  }
-
-  /** Handles the refusal of a small change. */
-  function again(/** @type {ApiError} */ error) {
-    if (isStale(error)) {
-      app.frames.take(error.body.state);
-      return;
-    }
-    waiting.shift();
-    app.toast(error);
-    if (app.state.frame) onSaved(app.state.frame);
   }
 
   /**

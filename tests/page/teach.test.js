@@ -1,4 +1,4 @@
-// Label mode without its display: an object's boxes on its views, and the changes that are saved one after the other.
+// Drawing on the pseudo-views without its display: an object's boxes on its views, and the changes that are saved one after the other.
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
@@ -10,10 +10,10 @@ import {
   drawnObject,
   makeDraft,
   takeSteps,
-} from "../../web_assets/js/label/draft.js";
-import { finality, kindChange, objectChange, valuesChange } from "../../web_assets/js/label/changes.js";
-import * as items from "../../web_assets/js/label/items.js";
-import { createSaver } from "../../web_assets/js/label/saver.js";
+} from "../../web_assets/js/annotate/draft.js";
+import { objectChange } from "../../web_assets/js/annotate/objects.js";
+import * as items from "../../web_assets/js/annotate/items.js";
+import { createSaver } from "../../web_assets/js/annotate/saver.js";
 import { fakeApp, frameState, held, settled } from "./fakes.js";
 
 const box = (left, top, right, bottom, more = {}) => {
@@ -117,11 +117,14 @@ test("views are loaded again until they match the boxes, and a newer request rep
 
 // -- saving
 
+const plain = (kind) => ({ path: ["changes"], body: () => ({ changes: [{ kind }] }) });
+
 function saverOf(change) {
   const app = fakeApp({ change, state: { frame: frameState(3) } });
   app.frames.take = (state) => (app.state.frame = state);
   const busy = [];
-  const saver = createSaver(app, { onSaved() {}, onDropped() {}, onBusy: (is) => busy.push(is) });
+  const desk = { enqueue: (send) => send() };
+  const saver = createSaver(app, desk, { onSaved() {}, onDropped() {}, onBusy: (is) => busy.push(is) });
   return { app, saver, busy };
 }
 
@@ -131,8 +134,8 @@ test("changes are sent one after the other, each with the revision that the one 
     sent.push([path, revision, changes[0].kind]);
     return frameState(revision + 1);
   });
-  saver.save(finality(true));
-  saver.save(kindChange("box"));
+  saver.save(plain("finalise"));
+  saver.save(plain("image_boxes"));
   assert.equal(saver.isBusy, true);
   await saver.idle();
   assert.deepEqual(sent, [
@@ -148,29 +151,17 @@ test("what could not be sent waits, with the problem, until it is tried again or
     if (isRefused) throw new ApiError(0, "", "no answer");
     return frameState(revision + 1);
   });
-  saver.save(finality(true));
+  saver.save(plain("finalise"));
   await saver.idle();
   assert.deepEqual([saver.problem.message, saver.waiting], ["no answer", 1]);
   isRefused = false;
   await saver.retry();
   assert.deepEqual([saver.problem, saver.waiting], [null, 0]);
   isRefused = true;
-  saver.save(finality(false));
+  saver.save(plain("reopen"));
   await saver.idle();
   saver.discard();
   assert.deepEqual([saver.problem, saver.isBusy], [null, false]);
-});
-
-test("a value is set beside the change of another operator, without a question", async () => {
-  const sent = [];
-  const { app, saver } = saverOf(async (_, { revision }) => {
-    sent.push(revision);
-    if (revision === 3) throw new ApiError(409, "StaleRevisionError", "changed", { state: frameState(8) });
-    return frameState(revision + 1);
-  });
-  saver.save(valuesChange(null, { rain: true }));
-  await saver.idle();
-  assert.deepEqual([sent, app.state.frame.frame.revision], [[3, 8], 9]);
 });
 
 test("a box whose class gets a new name while it is refused is sent again with that name", async () => {

@@ -1,4 +1,7 @@
-/** The camera image with all boxes of the frame: a click selects a box, and a drag draws a new one. */
+/**
+ * The camera image with all boxes of the frame: a click selects a box, and a drag draws a new one. Of the object that
+ * is drawn on the pseudo-views, and of those that are not finished, the box on the image is shown, too.
+ */
 
 import { valuesText } from "../attributes.js";
 import { cameraOf } from "../camera.js";
@@ -11,25 +14,24 @@ import { imageOverlay } from "./drawing.js";
 const LEAST_DRAG = 8;
 
 /**
- * `onDrawn(box)` is called with a box drawn for a new object; it resolves after the fit, whether it succeeded or not.
- * `canDraw()` says whether the frame can get a new box.
+ * @param {HTMLElement} host
+ * @param {ModeApp} app
+ * @param {Desk} desk
+ * @param {object} parts
+ * @param {() => Teach} parts.teach
+ * @param {(box: Box2D) => Promise<void>} parts.onDrawn called with a box drawn for a new object; resolves after the
+ *     fit, whether it succeeded or not.
+ * @param {() => void} parts.onMode called when drawing begins or ends.
+ * @param {() => boolean} parts.canDraw whether the frame can get a new box.
+ * @param {() => string} parts.nextClass of the next box.
  */
-export function createImagePanel(
-  /** @type {HTMLElement} */ host,
-  /** @type {ModeApp} */ app,
-  /** @type {Desk} */ desk,
-  /** @type {{ onDrawn: (box: Box2D) => Promise<void>, onMode: () => void, canDraw: () => boolean }} */ {
-    onDrawn,
-    onMode,
-    canDraw,
-  },
-) {
+export function createImagePanel(host, app, desk, { teach, onDrawn, onMode, canDraw, nextClass }) {
   const title = h("h2", { class: "ellipsis" }, "Image");
   const note = h("span", { class: "muted ellipsis", role: "status", "data-testid": "image-note" });
   const withRejected = h("input", { type: "checkbox", onchange: show, "data-testid": "show-rejected" });
   const byTrack = h("input", { type: "checkbox", onchange: colorAnew, "data-testid": "color-by-track" });
   byTrack.checked = localStorage.getItem("color-by-track") === "true";
-  const body = h("div", { class: "view-body", "data-testid": "review-image" });
+  const body = h("div", { class: "view-body", "data-testid": "image-editor" });
   host.append(
     h(
       "header",
@@ -63,14 +65,29 @@ export function createImagePanel(
     canDraw: () => canDraw() && !isFitting,
     leastDraw: LEAST_DRAG,
     isAsked: () => wanted !== null,
-    canMove: false,
-    canDelete: false,
-    newLabel: () => chosen ?? wanted ?? usualClass(),
-    onDrag: ({ length }) => onDrag(length > 0),
+    // objects are close together, and boxes are drawn one after the other
+    selectFirst: true,
+    newLabel: () => chosen ?? wanted ?? nextClass(),
+    onDrag: ({ length }, index) => onDrag(length > items.length && index >= items.length),
     onOverlay: (uid) => desk.select(uid),
-    onChange: (boxes, why, index) => why === "draw" && void fit(boxes[index]),
+    onEnter: () => false,
+    onSelect(index) {
+      if (index < 0) teach().release();
+      else if (items[index] && !isDashed(index)) teach().open(items[index]);
+    },
+    onChange(boxes, why, index, actions) {
+      if (why === "draw" || (isDashed(index) && !teach().isOn)) void fit(boxes[index]);
+      else teach().changeImageBox(items[index], boxes[index], why, actions);
+    },
   });
-  editor.setHandles({ edges: false, corners: false });
+  /**
+   * The objects of the boxes that are shown.
+   *
+   * @type {Item[]}
+   */
+  let items = [];
+  let dashed = 0;
+  const isDashed = (/** @type {number} */ index) => index >= items.length - dashed && index < items.length;
 
   function colorAnew() {
     localStorage.setItem("color-by-track", String(byTrack.checked));
@@ -84,6 +101,7 @@ export function createImagePanel(
     if (frame && !hasLoaded && !frame.frame.finalised && desk.labels().length === 0) loadDetectors();
     if (!frame) {
       void editor.setPicture(null);
+      editor.setBoxes([]);
       editor.setOverlays([]);
       note.textContent = "";
       return;
@@ -109,17 +127,26 @@ export function createImagePanel(
         imageOverlay(camera, selected, { selected: true, box: selected.box, values, ...colorOf(selected) }),
       );
     }
-    editor.setOverlays(overlays);
+    editor.setOverlays([...overlays, ...teach().overlays()]);
+    if (editor.isDragging) return;
+    const { list, selected: index } = teach().shown();
+    items = list.map(({ item }) => item);
+    dashed = list.filter(({ box }) => "suggested" in box).length;
+    editor.setReadonly(frame.frame.finalised);
+    editor.setBoxes(
+      list.map(({ box }) => box),
+      index,
+    );
   }
 
   function noteOf(/** @type {FrameState} */ { frame }) {
     if (isFitting) return "Fitting a 3D box …";
     if (wanted !== null) return `Drag a box around a ${wanted}. Press Esc to cancel.`;
     if (frame.finalised) return "finalised";
+    const hint = teach().hint();
+    if (hint) return hint;
     return desk.labels().length === 0 ? "Drag a box around an object to add it." : "";
   }
-
-  const usualClass = () => desk.shown?.label ?? app.state.project.classes[0];
 
   /** For the next drag. A frame without boxes is there to be drawn on. */
   function loadDetectors() {
@@ -149,7 +176,6 @@ export function createImagePanel(
   function draw(/** @type {string | null} */ label) {
     if (label !== null && !hasLoaded) loadDetectors();
     wanted = label;
-    editor.setBoxes([]);
     show();
     onMode();
   }
@@ -163,7 +189,7 @@ export function createImagePanel(
       return wanted !== null;
     },
     /** Asks for a box of the usual class. */
-    drawUsual: () => draw(usualClass()),
+    drawUsual: () => draw(nextClass()),
     /** Changes the class of the box that is being drawn or was asked for; false if there is none. */
     setClass(/** @type {string} */ name) {
       if (isDragging) chosen = name;

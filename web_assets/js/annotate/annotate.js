@@ -1,16 +1,18 @@
 /**
- * Review: a queue of proposals. One key accepts a correct one; a wrong one can be rejected, deleted or corrected.
+ * Annotate: boxes are drawn, proposals are reviewed, and both are corrected. A drag on the image gives a dashed box, one
+ * key takes it; where it is wrong, its edges are dragged on views along its axes, or its 2D boxes on the pseudo-views,
+ * which teach the detectors. A queue provides the next proposal.
  *
- * This file assembles the parts. The desk (desk.js) holds the selection and saves, the queue (queue.js) provides the
- * next item, opening.js opens frames, commands.js holds what keys and buttons do. The other parts draw,
- * and pass on the operator's actions.
+ * This file assembles the parts. The desk (desk.js) holds the selection and saves, teach.js holds what is drawn on the
+ * pseudo-views, the queue (queue.js) provides the next item, opening.js opens frames, commands.js holds what keys and
+ * buttons do. The other parts draw, and pass on the operator's actions.
  */
 
 import { createAttributes } from "../attributes.js";
 import { h } from "../dom.js";
 import { createFrameProblem } from "../frame_problem.js";
-import { makeHash } from "../router.js";
 import { createActions } from "./actions.js";
+import { createClassPicker } from "./class_picker.js";
 import { createCommands } from "./commands.js";
 import { createDesk, isOpen } from "./desk.js";
 import { createFields } from "./fields.js";
@@ -23,19 +25,19 @@ import { createQueue } from "./queue.js";
 import { createScene } from "./scene.js";
 import { createSheet } from "./sheet.js";
 import { createBoxList, createQueueList } from "./side_lists.js";
+import { createTeach } from "./teach.js";
 import { createTracks } from "./tracks.js";
 
 /** A picture with a greater ratio of width to height gets a wider panel. */
 const WIDE_ASPECT = 1.9;
 
 export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
-  const project = app.state.route.project;
   root.classList.add("fixed");
   if (app.state.project.frames === 0) {
-    root.append(emptyProject());
+    root.append(emptyProject(app.state.project.name));
     return { unmount() {} };
   }
-  const parts = layout(project);
+  const parts = layout();
   root.append(parts.root);
   const desk = createDesk(app);
   const queue = createQueue(app, showQueue);
@@ -56,7 +58,8 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   const { go } = opening;
   const goInQueue = (/** @type {Target} */ target) => go(target, true);
   const queueList = createQueueList(parts.queue, app, queue, { open: goInQueue });
-  const boxList = createBoxList(parts.boxes, app, desk);
+  const boxList = createBoxList(parts.boxes, app, desk, () => teach);
+  const picker = createClassPicker(parts.classes, app);
   const preload = createPreload(app, desk, queue);
   const sheet = createSheet(app, {
     desk,
@@ -85,12 +88,23 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     onProgress: () => tracks.refresh(),
   });
   const image = createImagePanel(parts.image, app, desk, {
+    teach: () => teach,
+    nextClass: () => picker.label,
     onDrawn: (box) => commands.fitDrawn(box),
     onMode: () => showActions(),
     canDraw: () => commands.canDraw(),
   });
-  const scene = createScene(parts.scene, app, desk);
+  const scene = createScene(parts.scene, app, desk, () => teach);
   const ortho = createOrthoViews(parts.ortho, app, desk, preload);
+  const teach = createTeach(parts.object, app, desk, {
+    onChange: showDrawn,
+    onTurn(on) {
+      parts.ortho.hidden = on;
+      if (!on) void ortho.show();
+    },
+    isImageBusy: () => image.editor.isDragging,
+  });
+  parts.problem.append(teach.problem);
   const problem = createFrameProblem(image.body, {
     onRetry: () => opening.broken !== null && void opening.open(opening.broken, null),
     onStep: opening.step,
@@ -111,7 +125,17 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
    */
   let seen = null;
 
-  const commands = createCommands(app, { desk, queue, opening, follow, image, ortho, root: parts.root });
+  const commands = createCommands(app, {
+    desk,
+    queue,
+    opening,
+    follow,
+    image,
+    ortho,
+    teach,
+    picker,
+    root: parts.root,
+  });
   const actions = createActions(parts.actions, {
     ...commands,
     accept: () => commands.decide("accept"),
@@ -119,6 +143,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     remove: () => commands.decide("delete"),
     gizmo: setGizmo,
     follow: () => commands.followOne("forward"),
+    teach: teach.turn,
   });
 
   // -- showing
@@ -126,7 +151,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   function showQueue() {
     showActions();
     queueList.show(desk.uid);
-    parts.done.hidden = queue.items.length > 0 || queue.isFiltered || opening.loading || !opening.seenQueue;
   }
 
   function showActions() {
@@ -136,12 +160,25 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       gizmoMode: scene.gizmo,
       busy: opening.loading,
       isDrawing: image.isDrawing,
+      isTeaching: teach.isOn,
+      canAccept: teach.canAccept,
       isMoreOpen: queue.items.length > 0 || desk.labels().some(isOpen),
     });
   }
 
   function showBusy() {
-    parts.saving.textContent = desk.isSaving ? "saving …" : opening.loading ? "opening …" : "";
+    const isSaving = desk.isSaving || teach.isSaving;
+    parts.root.toggleAttribute("data-saving", isSaving);
+    parts.saving.textContent = isSaving ? "saving …" : opening.loading ? "opening …" : "";
+  }
+
+  /** The object that is drawn has changed. */
+  function showDrawn() {
+    showBusy();
+    image.show();
+    boxList.show();
+    showActions();
+    scene.show();
   }
 
   function setGizmo(/** @type {Api.Gizmo} */ mode) {
@@ -154,6 +191,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     parts.root.classList.toggle("wide", picture !== undefined && picture.width > WIDE_ASPECT * picture.height);
     image.show();
     boxList.show();
+    picker.show();
     fields.show();
     attributes.show();
     void tracks.show();
@@ -176,23 +214,30 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
         scene.preview();
         if (!desk.hasDraft) void ortho.show();
       } else {
-        if (what === "selection") queue.visit(desk.uid);
+        if (what === "selection") {
+          queue.visit(desk.uid);
+          if (desk.shown) picker.pick(desk.shown.label);
+          teach.follow();
+        }
         showAll();
       }
     }),
     app.state.on("frame", (frame) => {
       if (!frame) return;
       desk.settle();
+      teach.settle();
       queue.settle(frame);
       selectWhatWasUndone(frame);
     }),
     app.state.on("project", () => {
       queueList.fill();
       fields.fill();
+      teach.show();
       showAll();
     }),
     app.events.on("classes", ({ renamed }) => {
       desk.rename(renamed);
+      teach.rename(renamed);
       queue.reloadSoon();
       desk.refresh().catch(app.toast);
     }),
@@ -204,7 +249,9 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       queue.reloadSoon();
       desk.refresh().catch(app.toast);
     }),
-    app.keys.register(bindings({ commands, opening, tracks, sheet, scene, image, ortho, setGizmo, attributes })),
+    app.keys.register(
+      bindings({ commands, opening, tracks, sheet, scene, image, ortho, teach, setGizmo, attributes }),
+    ),
   ];
 
   /** Selects the label that an undo or redo has changed. */
@@ -230,8 +277,10 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
         });
       else if (uid) desk.select(uid);
     },
-    unsaved: () => desk.unsaved && { ...desk.unsaved, retry: desk.retryAll, discard: desk.discardAll },
+    unsaved: () =>
+      teach.unsaved ?? (desk.unsaved && { ...desk.unsaved, retry: desk.retryAll, discard: desk.discardAll }),
     async flush() {
+      await teach.flush();
       await desk.flush();
       if (app.state.frame)
         seen = {
@@ -247,6 +296,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       ortho.destroy();
       preload.stop();
       boxList.destroy();
+      teach.destroy();
       image.destroy();
       app.events.openFrame(null);
     },
@@ -258,45 +308,52 @@ const fingerprint = (/** @type {PageLabel} */ { state, label, track_id, box }) =
 
 // -- its panels
 
-export function layout(/** @type {string} */ project) {
+export function layout() {
   const part = (/** @type {string} */ name, /** @type {string} */ label) =>
     h("section", { class: `panel ${name}`, "aria-label": label });
   const queue = part("queue", "Queue");
   const boxes = part("frame-boxes", "Boxes of this frame");
+  const classes = part("next-class", "Class of the next box");
   const imagePanel = part("image", "Camera image");
   const scene = part("scene", "3D view");
   const ortho = h("div", { class: "orthos", "data-testid": "orthos" });
+  const object = h("div", { class: "object" }, ortho);
+  const problem = h("span", {});
   const fields = part("fields", "Selected box");
   const actions = h("div", { class: "actions", role: "toolbar", "aria-label": "Actions" });
   const saving = h("span", { class: "muted", role: "status", "data-testid": "saving" });
-  const done = h(
-    "div",
-    { class: "done-note", hidden: true, role: "status", "data-testid": "review-done" },
-    "No proposals left to review. ",
-    h("a", { href: makeHash(project, "train") }, "Propose more"),
-    " or ",
-    h("a", { href: makeHash(project, "export") }, "export"),
-    ".",
-  );
   const root = h(
     "div",
-    { class: "review" },
-    h("div", { class: "side" }, queue, boxes),
+    { class: "annotate" },
+    h("div", { class: "side" }, queue, boxes, classes),
     h("div", { class: "pictures" }, imagePanel, scene),
-    h("div", { class: "bar" }, actions, done, saving),
-    h("div", { class: "details" }, ortho, fields),
+    h("div", { class: "bar" }, actions, problem, saving),
+    h("div", { class: "details" }, object, fields),
   );
-  return { root, queue, boxes, image: imagePanel, scene, ortho, fields, actions, saving, done };
+  return {
+    root,
+    queue,
+    boxes,
+    classes,
+    image: imagePanel,
+    scene,
+    object,
+    ortho,
+    fields,
+    actions,
+    saving,
+    problem,
+  };
 }
 
 /** Shown in place of the panels if the project has no frame. */
-export function emptyProject() {
+export function emptyProject(/** @type {string} */ name) {
   return h(
     "div",
-    { class: "empty" },
-    h("h2", {}, "There is nothing to review yet"),
-    h("p", {}, "Add a recording to the project, label a few objects, and let the detectors propose the rest."),
-    h("a", { class: "button", href: "#/" }, "Add a recording"),
+    { class: "empty", "data-testid": "no-frames" },
+    h("h2", {}, `${name} has no recording yet`),
+    h("p", {}, "Add one on the start page; its frames are then shown here."),
+    h("a", { class: "button", href: "#/" }, "Go to the start page"),
   );
 }
 
@@ -311,10 +368,11 @@ export function emptyProject() {
  * @param {ReturnType<typeof import("./scene.js").createScene>} parts.scene
  * @param {ReturnType<typeof import("./image_panel.js").createImagePanel>} parts.image
  * @param {ReturnType<typeof import("./ortho_views.js").createOrthoViews>} parts.ortho
+ * @param {Teach} parts.teach
  * @param {(mode: Api.Gizmo) => void} parts.setGizmo
  * @param {ReturnType<typeof import("../attributes.js").createAttributes>} parts.attributes
  */
-export function bindings({ commands, opening, tracks, sheet, scene, image, ortho, setGizmo, attributes }) {
+export function bindings({ commands, opening, tracks, sheet, scene, image, ortho, teach, setGizmo, attributes }) {
   // a key that is held down acts on one box only, not on the following ones
   const once =
     (/** @type {(key: string) => unknown} */ fn) =>
@@ -357,6 +415,9 @@ export function bindings({ commands, opening, tracks, sheet, scene, image, ortho
     fit: () => {
       image.fit();
       ortho.fit();
+      teach.fit();
     },
+    teach: once(() => teach.turn(!teach.isOn)),
+    "next-whole-box": once(() => teach.nextWhole()),
   };
 }

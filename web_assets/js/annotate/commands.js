@@ -1,10 +1,9 @@
-/** What the keys and buttons of Review do. */
+/** What the keys and buttons of Annotate do. */
 
 import { headingTurned, sameBox } from "../box3d.js";
 import { confirm } from "../dialogs.js";
 import { count } from "../dom.js";
 import { currentFrame } from "../frame_state.js";
-import { makeHash } from "../router.js";
 import { isOpen } from "./desk.js";
 import { mostDoubtful } from "./opening.js";
 import { copiedText } from "./tracks.js";
@@ -18,11 +17,11 @@ import { copiedText } from "./tracks.js";
  * @param {ReturnType<typeof import("./follow.js").createFollow>} parts.follow
  * @param {ReturnType<typeof import("./image_panel.js").createImagePanel>} parts.image
  * @param {ReturnType<typeof import("./ortho_views.js").createOrthoViews>} parts.ortho
+ * @param {Teach} parts.teach
+ * @param {ReturnType<typeof import("./class_picker.js").createClassPicker>} parts.picker
  * @param {HTMLElement} parts.root
  */
-export function createCommands(app, { desk, queue, opening, follow, image, ortho, root }) {
-  const { project } = app.state.route;
-
+export function createCommands(app, { desk, queue, opening, follow, image, ortho, teach, picker, root }) {
   function stepBox(/** @type {number} */ by) {
     const uids = desk.labels().map(({ uid }) => uid);
     if (uids.length === 0) return;
@@ -39,9 +38,11 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
    */
   function nextAfter(/** @type {"accept" | "reject" | "delete"} */ kind, /** @type {PageLabel} */ label) {
     const { id: frame } = currentFrame(app).frame;
-    const next = queue.after(label.uid);
+    const next = queue.after(label.uid, frame);
     const isRemoved = kind === "delete" || (kind === "reject" && label.isNew);
-    if (opening.inQueue && (!isRemoved || next?.frame === frame)) return next;
+    // a frame to draw on is left only when asked: it may have more objects
+    const isBox = next === null || next.uid !== null;
+    if (opening.inQueue && isBox && (!isRemoved || next?.frame === frame)) return next;
     const open = mostDoubtful(desk.labels().filter((one) => isOpen(one) && one.uid !== label.uid));
     if (open) return { frame, uid: open.uid };
     return kind === "accept" && isReviewed(label) ? next : null;
@@ -49,7 +50,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
 
   /** Selects the most doubtful open box of the frame if nothing is selected, or else goes on to the queue. */
   function goOn() {
-    const next = queue.after("");
+    const next = queue.after(null, opening.opened);
     if (desk.labels().some(isOpen)) opening.pick(null);
     else if (next) void opening.go(next, true);
   }
@@ -59,8 +60,10 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
    * box stays selected when it is accepted, since the next step is often to follow it.
    */
   async function decide(/** @type {"accept" | "reject" | "delete"} */ kind) {
-    const label = desk.shown;
     if (opening.loading || !app.state.frame) return;
+    if (kind === "accept" && teach.accept()) return;
+    if (kind === "delete" && teach.removeDrawn()) return;
+    const label = desk.shown;
     if (!label) return kind === "accept" ? goOn() : undefined;
     const { id: frame } = currentFrame(app).frame;
     const before = opening.openings;
@@ -103,7 +106,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     const before = opening.openings;
     if (!(await desk.commit()) || !(await desk.acceptAll()) || before !== opening.openings) return;
     const left = desk.labels().find(isOpen);
-    const next = queue.after(label.uid);
+    const next = queue.after(label.uid, opening.opened);
     if (left) desk.select(left.uid);
     else if (next && goesOn) await opening.go(next, true);
   }
@@ -148,10 +151,11 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
   const canDraw = () => app.state.frame !== null && !opening.loading && !app.state.frame.frame.finalised;
 
   /**
-   * A box was drawn on the image. If no object is found in it, it becomes the first of the five drags in Label, unless
-   * it has too few points for views to draw on.
+   * A box was drawn on the image. If no object is found in it, it becomes the first of five drags, on the image and on
+   * the pseudo-views, unless it has too few points for views to draw on.
    */
   async function fitDrawn(/** @type {Box2D} */ box) {
+    if (teach.isOn) return teach.draw(box);
     const { id } = currentFrame(app).frame;
     try {
       /** @type {Api.FitOut} */
@@ -176,8 +180,8 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
         return;
       }
       const who = facts.measured_by ? ` (${facts.measured_by})` : "";
-      app.toast(`${why}${who}. To finish it by hand, draw boxes on the four views of the image box.`, "warn");
-      app.go(makeHash(project, "label", id), { project, frame: id, image_box: box });
+      app.toast(`${why}${who}. To finish it by hand, draw its boxes on the pseudo-views.`, "warn");
+      teach.draw(box);
     } catch (error) {
       app.toast(error);
     }
@@ -214,13 +218,15 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
 
   function setClass(/** @type {string} */ key) {
     const name = app.state.project.classes[Number(key) - 1];
-    if (!name || image.setClass(name)) return;
+    if (!name) return;
+    picker.pick(name);
+    if (image.setClass(name) || teach.setClass(name)) return;
     if (desk.shown && desk.shown.label !== name) void desk.edit({ label: name });
   }
 
   /** Cancels a drag, or else an edit that is not saved, or else deselects. */
   function cancel() {
-    if (ortho.cancel() || image.cancel()) return;
+    if (ortho.cancel() || image.cancel() || teach.cancel()) return;
     if (desk.hasDraft) desk.revert();
     else desk.select(null);
   }

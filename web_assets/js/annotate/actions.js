@@ -4,7 +4,7 @@ import { button, h, iconButton } from "../dom.js";
 
 /**
  * @typedef {Record<"accept" | "reject" | "remove" | "refit" | "flip" | "copy" | "follow" | "draw" | "finalise",
- *     () => unknown> & { gizmo: (mode: Api.Gizmo) => void }} Act
+ *     () => unknown> & { gizmo: (mode: Api.Gizmo) => void, teach: (on: boolean) => void }} Act
  */
 
 /** @type {[Api.Gizmo, string, string][]} */
@@ -20,7 +20,7 @@ const GIZMOS = [
  */
 export function createActions(host, act) {
   const action = (
-    /** @type {Exclude<keyof Act, "gizmo" | "remove">} */ id,
+    /** @type {Exclude<keyof Act, "gizmo" | "remove" | "teach">} */ id,
     /** @type {string} */ text,
     /** @type {string} */ key,
     /** @type {string} */ kind = "",
@@ -50,6 +50,14 @@ export function createActions(host, act) {
       }),
     ),
   );
+  const views = [false, true].map((on) =>
+    button(on ? ["Pseudo-views", h("kbd", {}, "D")] : "Along the box", () => act.teach(on), {
+      title: on
+        ? "The views that teach the detectors, with their 2D boxes (D)"
+        : "Three views along the box's axes (D)",
+      "data-testid": on ? "views-pseudo" : "views-along",
+    }),
+  );
   host.replaceChildren(
     accept,
     reject,
@@ -59,6 +67,7 @@ export function createActions(host, act) {
     flip,
     h("span", { class: "divider" }),
     gizmo,
+    h("div", { class: "segments", role: "group", "aria-label": "Views of the object" }, views),
     h("span", { class: "grow" }),
     draw,
     copy,
@@ -69,14 +78,16 @@ export function createActions(host, act) {
   return {
     /**
      * @param {{ label: PageLabel | null, frame: FrameState | null, gizmoMode: Api.Gizmo, busy: boolean,
-     *     isDrawing: boolean, isMoreOpen: boolean }} shown isMoreOpen: there are proposals, here or elsewhere.
+     *     isDrawing: boolean, isMoreOpen: boolean, isTeaching: boolean, canAccept: boolean }} shown isMoreOpen: there
+     *     are proposals, here or elsewhere; canAccept: boxes on the pseudo-views are suggested.
      */
-    show({ label, frame, gizmoMode, busy, isDrawing, isMoreOpen }) {
+    show({ label, frame, gizmoMode, busy, isDrawing, isMoreOpen, isTeaching, canAccept }) {
       for (const one of [reject, refit, flip, remove]) one.disabled = !label || busy;
       const isReviewed = label?.state === "accepted" || label?.state === "edited";
-      accept.disabled = busy || !(label || isMoreOpen);
+      accept.disabled = busy || !(label || isMoreOpen || canAccept);
+      for (const [i, one] of views.entries()) one.setAttribute("aria-pressed", String(isTeaching === (i === 1)));
       const [text, title] =
-        isReviewed || !label
+        (isReviewed || !label) && !canAccept
           ? ["Next", "Next open box of this frame, or of the queue (Space)"]
           : ["Accept", "Accept (Space)"];
       if (accept.firstChild) accept.firstChild.textContent = text;

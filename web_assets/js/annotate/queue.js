@@ -1,10 +1,11 @@
-/** The queue of proposals to review: its order, its filter, and the next item. */
+/** The queue of proposals to review, or of frames to draw on: its order, its filter, and the next item. */
 
 export const ORDERS = [
   ["worst", "Most doubtful first"],
   ["time", "In time order"],
   ["class", "By class"],
   ["track", "By track"],
+  ["teach", "Frames that teach most"],
 ];
 
 /** The source of our own proposals. */
@@ -40,7 +41,7 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
     /** @type {Api.QueueOut} */
     const answer = await app.api.get(`${app.path("queue")}?${query}`);
     if (ended) return;
-    items = answer.items.flatMap((item) => (item.uid === null ? [] : [{ ...item, uid: item.uid }]));
+    items = answer.items;
     const hasMore = answer.remaining > remaining;
     remaining = answer.remaining;
     place = Math.min(place, items.length);
@@ -94,9 +95,9 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
       if (index >= 0) place = index;
     },
 
-    /** The next item to review after this one, or null. */
-    after(/** @type {string} */ uid) {
-      const index = items.findIndex((item) => item.uid === uid);
+    /** The next item after this box, or, while the queue has frames to draw on, after this frame; or null. */
+    after(/** @type {string | null} */ uid, /** @type {number | null} */ frame = null) {
+      const index = items.findIndex((item) => (item.uid === null ? item.frame === frame : item.uid === uid));
       const others =
         index >= 0
           ? [...items.slice(index + 1), ...items.slice(0, index)]
@@ -106,6 +107,8 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
 
     /** Removes the items that are reviewed in a frame's new state. */
     settle(/** @type {FrameState} */ frame) {
+      if (order === "teach") return this.reloadSoon();
+      /** @type {Set<string | null>} */
       const open = new Set(frame.labels.filter(({ state }) => state === "proposed").map(({ uid }) => uid));
       const gone = (/** @type {QueueItem} */ item) => item.frame === frame.frame.id && !open.has(item.uid);
       const before = items.length;

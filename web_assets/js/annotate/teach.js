@@ -1,0 +1,420 @@
+/**
+ * Drawing on the pseudo-views of one object: the recursion's first two steps, which are what the detectors learn. A
+ * detector suggests a box on each of the four views (dashed), and the operator accepts or corrects them; without one,
+ * they are drawn: a box on the image gives the front and side view of its frustum, a box on each gives the views of the
+ * next step, and a box on each of these finishes the object (the paper's Fig. 6). Every drag is saved, and the answer
+ * contains the next views and suggestions.
+ *
+ * objects.js handles drags, draft.js loads views, suggestions.js loads suggestions and offers whole boxes, saver.js
+ * saves, and views_pane.js shows the views.
+ */
+
+import { cameraOf, imageHeading, outline } from "../camera.js";
+import { count } from "../dom.js";
+import { currentFrame } from "../frame_state.js";
+import { createAsk, createStepLoader, filledBoxes } from "./draft.js";
+import { itemsOf, makeItem, naming, overlap, plainBox, relabelItem, sameBox, sameItem, secondAxes } from "./items.js";
+import { createObjects, isFinished } from "./objects.js";
+import { createSaveProblem, createSaver } from "./saver.js";
+import { createSuggester, createWholeBoxes } from "./suggestions.js";
+import { createViewsPane, hintFor } from "./views_pane.js";
+
+const BUSY_WAIT_MS = 300;
+/** IoU above which a detected box and that of an object are the same object. */
+const SAME_OBJECT = 0.4;
+const PREVIEW_COLOR = "#ff5d8f";
+
+/**
+ * @param {HTMLElement} host
+ * @param {ModeApp} app
+ * @param {Desk} desk
+ * @param {object} parts
+ * @param {() => void} parts.onChange called when what is drawn has changed.
+ * @param {(on: boolean) => void} parts.onTurn called when the pseudo-views are shown, or not any more.
+ * @param {() => boolean} parts.isImageBusy whether a box on the image is being dragged.
+ */
+export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) {
+  /** @type {Work} */
+  const work = {
+    items: [],
+    draft: null,
+    selected: null,
+    notSaved: [],
+    detections: [],
+    loaded: Promise.resolve(),
+    get isReadonly() {
+      return Boolean(app.state.frame?.frame.finalised);
+    },
+    get kind() {
+      return app.state.frame?.image_boxes?.box_kind ?? "silhouette";
+    },
+  };
+  /** @type {number | null} */
+  let frameShown = null;
+  let isOn = false;
+
+  const ask = createAsk(app, () => work.kind);
+  const loader = createStepLoader(ask);
+  const suggester = createSuggester(app, { ask, onSuggested: show });
+  const saver = createSaver(app, desk, {
+    onSaved,
+    onDropped: (change) => objects.onDropped(change),
+    onBusy(isSaving) {
+      show();
+      if (isSaving) return;
+      if (saver.problem) objects.onFailed();
+      else void refresh();
+    },
+  });
+  const whole = createWholeBoxes(app, work, { saver, onOffered: show });
+  const views = createViewsPane(app, {
+    onBox: (...change) => objects.setViewBox(...change),
+    onClear: (...change) => objects.clearViewBox(...change),
+    onAcceptAll: accept,
+    newLabel: () => work.draft?.item.image_box.label ?? "",
+  });
+  const objects = createObjects(app, work, {
+    saver,
+    loader,
+    suggester,
+    whole,
+    show,
+    onStored(item) {
+      // the object replaces the box that was found for it
+      const { found } = item;
+      item.found = null;
+      if (found) desk.drop(found);
+    },
+  });
+  const problem = createSaveProblem(app, saver, { onRelabel: rename, onDiscard: discard });
+  host.append(views.root);
+  views.root.hidden = true;
+
+  // -- the frame's objects
+
+  /** The frame's state was set: a new frame, an undo, or a change by others. */
+  function settle() {
+    const state = currentFrame(app);
+    const isNew = frameShown !== state.frame.id;
+    if (saver.isBusy && !isNew) return;
+    if (isNew) {
+      frameShown = state.frame.id;
+      close();
+      work.notSaved = [];
+      work.detections = [];
+      void detect(state);
+    }
+    work.items = itemsOf(state);
+    if (work.draft) keepDraft(work.draft);
+    show();
+  }
+
+  function keepDraft(/** @type {Draft} */ draft) {
+    const known = draft.item;
+    const index = work.items.findIndex(
+      (item) => sameBox(item.image_box, known.stored) || (item.uid && item.uid === known.uid),
+    );
+    if (index < 0) {
+      if (known.stored || !known.found || !desk.stored(known.found)) follow();
+    } else if (sameItem(work.items[index], known)) {
+      known.uid = work.items[index].uid;
+      known.stored = work.items[index].stored;
+      work.items[index] = known;
+      // the confirmation of its whole box may have been undone
+      void whole.follow(draft);
+    } else objects.open(work.items[index]);
+  }
+
+  function onSaved(/** @type {FrameState} */ state) {
+    const fresh = itemsOf(state);
+    // this page's boxes are newer than any answer; the server adds uids and the boxes of others
+    work.items = fresh.map((item) => work.items.find((known) => sameBox(known.stored, item.image_box)) ?? item);
+    work.items.forEach((item, i) => {
+      item.uid = fresh[i].uid;
+    });
+    const current = work.draft?.item;
+    if (current && isFinished(current)) desk.select(current.uid);
+    else if (current && !work.items.includes(current)) follow();
+    show();
+  }
+
+  /** Reads what others have saved, but not during a drag or while saving. */
+  async function refresh() {
+    if (!app.frames.isBehind || saver.isBusy || !host.isConnected) return;
+    const isBusy = () => saver.isBusy || isImageBusy() || views.editors.some(({ isDragging }) => isDragging);
+    if (!isBusy()) await app.frames.refresh(() => !isBusy());
+    if (app.frames.isBehind) setTimeout(refresh, BUSY_WAIT_MS);
+  }
+
+  /** Shows the boxes that the image detector finds on a frame on which there is nothing to review. */
+  async function detect(/** @type {FrameState} */ { frame, labels }) {
+    const isOpen = labels.some(({ state }) => state === "proposed");
+    if (!app.state.project.detectors.image || frame.finalised || isOpen) return;
+    const boxes = await suggester.onImage(frame.id);
+    if (frameShown !== frame.id) return;
+    work.detections = boxes;
+    show();
+  }
+
+  /** Makes the object of the selected box the current one; without one, none. */
+  function follow() {
+    const item = isOn ? itemOf(desk.shown) : null;
+    if (item && item === work.draft?.item) return;
+    work.selected = null;
+    if (item) objects.open(item);
+    else if (!work.draft || work.draft.item.uid || work.draft.item.found || !isOn) close();
+  }
+
+  /**
+   * The object with a box: as it was drawn, or else the part of the image that the box covers; null: it is outside.
+   *
+   * @returns {Item | null}
+   */
+  function itemOf(/** @type {PageLabel | null} */ label) {
+    if (!label) return null;
+    const known = work.items.find(({ uid }) => uid === label.uid);
+    if (known) return known;
+    const current = work.draft?.item;
+    if (current && (current.found ?? current.uid) === label.uid) return current;
+    const drawn = (label.isNew && desk.imageBox(label.uid)) || rectangle(label);
+    if (!drawn) return null;
+    return { ...makeItem({ ...drawn, score: 1 }), ...(label.isNew ? { found: label.uid } : { uid: label.uid }) };
+  }
+
+  function rectangle(/** @type {PageLabel} */ label) {
+    const { width, height } = currentFrame(app).image;
+    const points = outline(cameraOf(currentFrame(app).image), label.box).flat();
+    const clip = (/** @type {number} */ value, /** @type {number} */ length) =>
+      Math.min(Math.max(value, -0.5), length - 0.5);
+    const [x, y] = [points.map((point) => clip(point[0], width)), points.map((point) => clip(point[1], height))];
+    const box = { x_min: Math.min(...x), y_min: Math.min(...y), x_max: Math.max(...x), y_max: Math.max(...y) };
+    return box.x_max - box.x_min >= 1 && box.y_max - box.y_min >= 1 ? { label: label.label, ...box } : null;
+  }
+
+  function close() {
+    objects.close();
+    work.selected = null;
+  }
+
+  // -- showing
+
+  function show() {
+    problem.show();
+    views.setReadonly(work.isReadonly);
+    views.show(isOn ? work.draft : null);
+    onChange();
+  }
+
+  /** The objects whose boxes on the image are shown: the current one, and those that are not finished. */
+  const onImage = () => work.items.filter((item) => item === work.draft?.item || !item.uid);
+
+  /**
+   * Dashed boxes on the image: this page's unsaved boxes, and detected ones at places where there is nothing.
+   *
+   * @returns {Guess[]}
+   */
+  function guesses() {
+    if (work.isReadonly) return [];
+    const unsaved = work.notSaved.map((item) => ({ item, image_box: item.image_box, caption: "yours, not saved" }));
+    const taken = [
+      ...work.items.map(({ image_box }) => image_box),
+      ...desk.labels().flatMap((label) => (label.state === "rejected" ? [] : (rectangle(label) ?? []))),
+    ];
+    const free = work.detections.filter((box) => !taken.some((known) => overlap(known, box) > SAME_OBJECT));
+    return [
+      ...unsaved,
+      ...free.map((box) => ({
+        item: makeItem(box),
+        image_box: box,
+        caption: `${box.label} ${Math.round(100 * (box.score ?? 1))} %`,
+      })),
+    ];
+  }
+
+  /** The boxes for the editor of the camera image, with the objects that they belong to, and which is selected. */
+  function shown() {
+    const boxes = onImage().map((item) => ({
+      item,
+      box: { ...item.image_box, faint: item !== work.draft?.item, caption: item.image_box.label },
+    }));
+    const dashed = guesses().map(({ item, image_box, caption }) => ({
+      item,
+      box: { ...image_box, suggested: true, caption },
+    }));
+    return { list: [...boxes, ...dashed], selected: boxes.findIndex(({ item }) => item === work.selected) };
+  }
+
+  /** The 3D box so far, or the whole box that is offered. @returns {Overlay[]} */
+  function overlays() {
+    const { draft } = work;
+    const lines = [];
+    const look = { color: PREVIEW_COLOR, dash: true, strong: true };
+    if (isOn && draft?.outline && !isFinished(draft.item) && !draft.item.found)
+      lines.push({ segments: draft.outline, ...look });
+    const offered = whole.offered();
+    if (offered) {
+      const heading = imageHeading(cameraOf(currentFrame(app).image), offered.box);
+      lines.push({ segments: offered.outline, heading, ...look, id: "whole" });
+    }
+    return lines.filter(({ segments }) => segments.length > 0);
+  }
+
+  function hint() {
+    if (!isOn) return "";
+    return hintFor({
+      draft: work.draft,
+      isReadonly: work.isReadonly,
+      notSaved: work.notSaved.length,
+      isWholeOffered: Boolean(whole.offered()),
+    });
+  }
+
+  // -- what the operator does
+
+  function turn(/** @type {boolean} */ on) {
+    isOn = on;
+    views.root.hidden = !on;
+    onTurn(on);
+    follow();
+    show();
+  }
+
+  /**
+   * Accepts what is suggested for the current object, or its whole box; false if there is nothing, or if the object's
+   * box is a proposal that nothing was drawn for: that one is accepted as it is.
+   */
+  function accept() {
+    return (isOwn() && objects.acceptAll()) || whole.confirm();
+  }
+
+  /** Something was drawn for the current object, or it has no 3D box. */
+  const isOwn = () =>
+    Boolean(work.draft && (work.draft.changes > 0 || !(work.draft.item.found ?? work.draft.item.uid)));
+
+  const canAccept = () => (isOwn() && Boolean(work.draft?.suggestions.some(Boolean))) || Boolean(whole.offered());
+
+  function rename(/** @type {Record<string, string>} */ renamed) {
+    const named = naming(renamed);
+    work.detections = work.detections.map(named);
+    for (const item of new Set([...work.items, ...work.notSaved])) relabelItem(item, named);
+    if (work.draft) work.draft.suggestions = work.draft.suggestions.map(named);
+    saver.relabel(renamed);
+    show();
+  }
+
+  function discard() {
+    saver.discard();
+    // this discards what was drawn, too
+    app.frames.take(currentFrame(app));
+  }
+
+  return {
+    get isOn() {
+      return isOn;
+    },
+    get draft() {
+      return work.draft;
+    },
+    /** Whether changes are being sent, or wait for a second try. */
+    get isSaving() {
+      return saver.isBusy;
+    },
+    /** Whether there is something that `accept` takes. */
+    get canAccept() {
+      return canAccept();
+    },
+    /** The objects that have no 3D box yet. */
+    get unfinished() {
+      return work.items.filter((item) => !item.uid);
+    },
+    problem: problem.root,
+    editors: views.editors,
+    shown,
+    overlays,
+    hint,
+    show,
+    settle,
+    follow,
+    turn,
+    accept,
+    rename,
+    refresh,
+    nextWhole: () => whole.next(),
+    askAgain: () => objects.askAgain(),
+
+    /** A box was drawn on the image for a new object, in which nothing was found, or which is to be drawn. */
+    draw(/** @type {Box2D} */ box) {
+      desk.select(null);
+      if (!isOn) turn(true);
+      objects.draw(box);
+    },
+    /** A box on the image was changed; `entry` is one of `shown`. */
+    changeImageBox: objects.onImageChange,
+    /** Opens an object that is not finished, or the object of a box. */
+    open(/** @type {Item} */ item) {
+      if (!isOn) turn(true);
+      desk.select(item.uid);
+      work.selected = item;
+      if (item !== work.draft?.item) objects.open(item);
+      else show();
+    },
+    /** Deletes the selected box of a focused view, or the object that has no 3D box; false if there is neither. */
+    removeDrawn() {
+      const view = views.editors.find((editor) => editor.root.contains(document.activeElement));
+      if (view) return view.deleteSelected();
+      const item = work.draft?.item;
+      if (!isOn || !item || item.uid || item.found) return false;
+      objects.remove(item);
+      return true;
+    },
+    /** The box on the image is not selected any more, so that a drag in it draws another one. */
+    release() {
+      work.selected = null;
+    },
+    remove: objects.remove,
+    /** Gives the current object another class; false if there is none, or if it has its own box. */
+    setClass(/** @type {string} */ name) {
+      if (!isOn || !work.draft || work.draft.item.uid || work.draft.item.found) return false;
+      objects.pickClass(name);
+      return true;
+    },
+    /** Cancels a drag on the views, or else closes the object; false if there is neither. */
+    cancel() {
+      if (views.editors.some((editor) => editor.isDragging && editor.cancel())) return true;
+      if (!work.draft || work.draft.item.uid || work.draft.item.found) return false;
+      close();
+      show();
+      return true;
+    },
+    /** The object as the 3D view draws it, while its views are not being loaded. */
+    sceneDraft() {
+      const { draft } = work;
+      if (!isOn || !draft || work.isReadonly || draft.isLoading) return null;
+      const axes = draft.steps[1] ? secondAxes(draft.item) : null;
+      const boxes = filledBoxes(draft).map((box) => box && plainBox(box));
+      return { image_box: plainBox(draft.item.image_box), boxes, axes, box_kind: work.kind };
+    },
+    fit() {
+      for (const editor of views.editors) editor.fit();
+    },
+
+    async flush() {
+      for (const editor of views.editors) editor.flush();
+      // a moved image box is saved with the views that follow from it
+      await work.loaded;
+      await saver.idle();
+    },
+    /** What would be lost if the frame were left now; null if everything is saved. @returns {Unsaved | null} */
+    get unsaved() {
+      const isSent = work.items.every(({ stored, image_box }) => sameBox(stored, image_box));
+      if (!saver.isBusy && isSent) return null;
+      const text =
+        `Not saved: ${count(saver.waiting, "change")} of this frame. ${saver.problem?.message ?? ""}`.trim();
+      return { text, retry: saver.retry, discard };
+    },
+    destroy() {
+      close();
+      views.destroy();
+    },
+  };
+}
