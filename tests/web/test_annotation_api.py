@@ -159,7 +159,7 @@ def test_tools_say_why_there_is_no_detector(live: Live, project: Project, genera
     notes = [live.client.post(f"{ROOM}/frames/1/fit", json=each).json() for each in (body, corner)]
     assert [(each["note"], each["too_few_points"]) for each in notes] == [
         ("there is no pseudo-view detector yet", False),
-        ("fewer than 5 points lie in this box", True),
+        ("fewer than 5 points lie in this box, and no reviewed box tells how large a person is", True),
     ]
     weights = project.models_folder / "broken" / "best.pt"
     weights.parent.mkdir()

@@ -40,7 +40,7 @@ from annotator.workflows.workbench.contact_sheet import ortho_views
 from annotator.workflows.workbench.drawing_steps import Labelling, frame_config, label_object
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import Readiness
-from annotator.workflows.workbench.refit import FoundBox, find_box, refit
+from annotator.workflows.workbench.refit import FoundBox, find_box, place_box, refit
 from annotator.workflows.workbench.review_queue import Order
 from annotator.workflows.workbench.review_queue import queue as all_items
 from annotator.workflows.workbench.save_object import ObjectDrawn, copy_boxes, save_object
@@ -72,7 +72,7 @@ class FitOut(Schema):
     """A fitted box; if no object was found in an image box, `box` is null and `note` is the reason.
 
     `measured_by` names the detector that looked for it; `suggestion` is what a label made from it records. With
-    `too_few_points`, it cannot be drawn by hand on views either.
+    `too_few_points`, it cannot be drawn by hand on views either; a box is then placed by its size alone.
     """
 
     box: Box3DJson | None
@@ -102,19 +102,23 @@ def refit_box(at: AtFrame, body: RefitIn) -> FitOut:
 
 @router.post("/api/projects/{name}/frames/{frame_id}/fit")
 def fit(at: AtFrame, body: ImageBoxIn) -> FitOut:
-    """Find the object in an image box. Nothing is stored."""
+    """Find the object in an image box; where it has hardly any points, place it by its size. Nothing is stored."""
     opened, config, ready = _ready(at)
-    return _fitted(at, find_box(opened, body.image_box.box(), config, ready.detector, ready.problem), ready)
+    found = find_box(opened, body.image_box.box(), config, ready.detector, ready.problem)
+    if found.too_few_points:
+        found = place_box(opened, body.image_box.box(), config)
+    return _fitted(at, found, ready)
 
 
 def _fitted(at: InFrame, found: FoundBox, ready: Readiness) -> FitOut:
+    measuring = None if found.too_few_points else ready.detector
     return FitOut.of(
         found,
         box=None if found.box is None else Box3DJson.of(found.box),
         outline=found.outline.round(2).tolist(),
         quality=QualityJson.of(found.quality),
-        measured_by=None if ready.detector is None else ready.detector.title,
-        suggestion=None if ready.detector is None else ready.detector.suggestion,
+        measured_by=None if measuring is None else measuring.title,
+        suggestion=None if measuring is None else measuring.suggestion,
         note=at.ctx.public(found.note),
     )
 

@@ -22,11 +22,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.geometry.oriented_box import aligned_box, canonical_box
+from annotator.geometry.oriented_box import aligned_box, box_corners, canonical_box
 from annotator.geometry.outline import NEAR_M, box_on_image, visible_edges
-from annotator.geometry.projection import in_frustum, thin
+from annotator.geometry.projection import in_frustum, project, thin, undistort_px
+from annotator.geometry.transforms import unit
 from annotator.rcv.axes import with_axes_like
-from annotator.rcv.config import MIN_POINTS, RcvConfig
+from annotator.rcv.config import MIN_POINTS, RcvConfig, typical_size
 from annotator.rcv.first_look import expected_outline, image_planes
 from annotator.rcv.interval_fit import Intervals, fit_box
 from annotator.rcv.known_objects import Span, cut_out
@@ -59,6 +60,8 @@ MOST_POINTS = 16_384
 KNOWN_MARGIN = 0.03
 # Expected error of a drawn edge, share of that of the best detected one.
 KNOWN_DOUBT = 0.2
+# A box is placed by its size alone in so many steps: each corrects its distance and its direction by what it covers.
+PLACING_STEPS = 12
 # Expected error of the faces of a box that was placed by the typical size of its class, share of its mean side.
 PLACED_DOUBT = 0.1
 
@@ -72,7 +75,8 @@ class FoundBox:
         outline: (k, 2, 2) its visible edges on the image, pixels.
         score, quality: of the recursion; None if it found nothing or was not used. A refitted box has no score.
         note: why the object was not found, or the recursion not used; or None.
-        too_few_points: no box can be measured, nor views be drawn on: too few points lie in the box on the image.
+        too_few_points: no box can be measured, nor views be drawn on: too few points lie in the box on the image. `box`
+            is then one that was placed by its size alone, if the class has one.
     """
 
     box: OrientedBox | None
@@ -131,6 +135,39 @@ def find_box(
     spans = tuple((axes.tobytes(), span_m.tobytes()) for axes, span_m in known)
     key = ("found", image_box.label, image_box.xyxy, spans, config, detector.fingerprint)
     return opened.once(key, lambda: _found(opened, image_box, config, detector, known))
+
+
+def place_box(opened: OpenFrame, image_box: Box2D, config: RcvConfig) -> FoundBox:
+    """Places a box of the class's typical size where it appears as high as a box drawn around hardly any points.
+
+    It stands upright, and looks along the line of sight, or across it if the drawn box is that wide.
+    """
+    frame, known = opened.frame, (*config.typical_sizes, *config.reviewed_sizes)
+    typical, why = typical_size(image_box.label, known), f"fewer than {MIN_POINTS} points lie in this box"
+    if typical is None:
+        nothing = f"{why}, and no reviewed box tells how large a {image_box.label} is"
+        return not_found(nothing, too_few_points=True)
+    camera, size_m = frame.camera, np.array(typical.size_m)
+    up = np.array([0.0, -1.0, 0.0]) if frame.up is None else frame.up
+    drawn_px = np.reshape(image_box.xyxy, (2, 2))
+    (ray,) = np.column_stack([undistort_px(camera, drawn_px.mean(axis=0)[None]), np.ones(1)])
+    away = unit(ray - (ray @ up) * up)
+    left = np.cross(up, away)
+    width_px, height_px = drawn_px[1] - drawn_px[0]
+    sides_m = size_m[1::-1]  # across the line of sight if the box looks along it, and if it looks to the left
+    is_along = np.abs(np.log(sides_m / size_m[2]) - np.log(width_px / height_px)).argmin() == 0
+    rotation = np.column_stack([away, left, up] if is_along else [left, -away, up])
+    middle_px, depth_m = drawn_px.mean(axis=0), camera.fy * size_m[2] / height_px
+    for _ in range(PLACING_STEPS):
+        (xy,) = undistort_px(camera, middle_px[None])
+        box = OrientedBox.from_parts(np.array([*xy, 1.0]) * depth_m, rotation, size_m)
+        seen_px = project(camera, box_corners(box))
+        low, high = seen_px.min(axis=0), seen_px.max(axis=0)
+        if not np.isfinite(seen_px).all():
+            return not_found(why, too_few_points=True)
+        middle_px = middle_px + drawn_px.mean(axis=0) - (low + high) / 2
+        depth_m *= float((high - low)[1] / height_px)
+    return replace(_result(opened, box, None, f"{why}: placed by its size alone"), too_few_points=True)
 
 
 def _found(

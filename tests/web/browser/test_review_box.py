@@ -163,7 +163,7 @@ def test_boxes_are_drawn_by_a_drag_fitted_again_and_copied_from_the_previous_fra
     desk.page.route("**/fit", lambda route: route.fulfill(json=sparse))
     drag(desk.page, (x, y), (x + 30, y + 40))
     toast = desk.page.get_by_test_id("toast-warn").last
-    expect(toast).to_contain_text("Fewer than 5 points lie in this box, too few for a 3D box")
+    expect(toast).to_contain_text("Fewer than 5 points lie in this box. Label the object")
     expect(toast).to_contain_text("copy its box here")
     expect(desk.page.get_by_test_id("image-note")).to_have_text("")
     assert f"/annotate/{desk.frame}" in desk.page.url

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains, same_box
+from annotator.geometry.outline import box_on_image
 from annotator.project import Effort, NewLabel, Project, WriteContext
 from annotator.project.changes import LabelChanged
-from annotator.rcv.config import Orientation, RcvConfig
+from annotator.rcv.config import Orientation, RcvConfig, TypicalSize
 from annotator.recordings import open_recording
 from annotator.types import (
     Box2D,
@@ -43,7 +45,7 @@ from annotator.workflows.workbench.contact_sheet import (
     views_of_points,
 )  # fmt: skip
 from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.refit import refit
+from annotator.workflows.workbench.refit import place_box, refit
 from annotator.workflows.workbench.save_object import copy_boxes
 
 
@@ -312,3 +314,26 @@ def test_a_picture_shows_three_views_and_the_box_on_them(generated: Path) -> Non
     assert not (front == FRONT).all(axis=2).any()
     moved = OrientedBox.from_parts(box.center_m + np.array([0, 0, 40.0]), box.rotation, box.size_m)
     assert (picture(frame, moved) == LINE).all(axis=2).any(), "a box without points has a picture, too"
+
+
+def test_an_object_without_points_is_placed_by_its_size(opened: OpenFrame) -> None:
+    size_m = (4.2, 1.8, 1.5)
+    sizes = (TypicalSize(label="Zorb", size_m=size_m, spread=(0.1, 0.1, 0.1)),)
+    config = RcvConfig(reviewed_sizes=sizes)
+    up = np.array([0.0, -1.0, 0.0]) if opened.frame.up is None else opened.frame.up
+    camera = opened.frame.camera
+    for heading in ("away", "left"):
+        away = np.array([0.0, 0.0, 1.0]) - up[2] * up
+        away /= np.linalg.norm(away)
+        left = np.cross(up, away)
+        rotation = np.column_stack([away, left, up] if heading == "away" else [left, -away, up])
+        true = OrientedBox.from_parts(np.array([-0.5, 0.3, 30.0]), rotation, np.array(size_m))
+        drawn = box_on_image(camera, true, "zorb", min_side_px=0.0)
+        assert drawn is not None
+        found = place_box(opened, drawn, config)
+        assert found.box is not None and found.too_few_points and "its size alone" in (found.note or "")
+        np.testing.assert_allclose(found.box.center_m, true.center_m, atol=0.5)
+        np.testing.assert_allclose(found.box.size_m, true.size_m)
+        assert abs(found.box.rotation[:, 0] @ true.rotation[:, 0]) > 0.99
+    unknown = place_box(opened, replace(drawn, label="unheard-of"), config)
+    assert unknown.box is None and "how large a unheard-of is" in (unknown.note or "")

@@ -8,6 +8,11 @@ import { isOpen } from "./desk.js";
 import { mostDoubtful } from "./opening.js";
 import { copiedText } from "./tracks.js";
 
+const CHECK_PLACED = "Check its distance and heading, or label it in a frame that shows more of it.";
+const LABEL_ELSEWHERE =
+  "Label the object in a frame that shows more of it; then copy its box here (C: from the previous frame), or fill " +
+  "the frames between two reviewed boxes of its track.";
+
 /**
  * @param {ModeApp} app
  * @param {object} parts
@@ -166,19 +171,10 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
         ...facts
       } = await app.api.post(app.path("frames", id, "fit"), { image_box: box });
       if (app.state.frame?.frame.id !== id || !root.isConnected) return;
-      if (fitted) {
-        desk.add({ ...facts, box: fitted, label: box.label, image_box: box });
-        return;
-      }
       const why = note ? `${note[0].toUpperCase()}${note.slice(1)}` : "No object was found";
-      if (too_few_points) {
-        app.toast(
-          `${why}, too few for a 3D box. Label the object in a frame that shows more of it; then copy its box here ` +
-            "(C: from the previous frame), or fill the frames between two reviewed boxes of its track (I).",
-          "warn",
-        );
-        return;
-      }
+      if (fitted) desk.add({ ...facts, box: fitted, label: box.label, image_box: box });
+      if (too_few_points) app.toast(`${why}. ${fitted ? CHECK_PLACED : LABEL_ELSEWHERE}`, "warn");
+      if (fitted || too_few_points) return;
       const who = facts.measured_by ? ` (${facts.measured_by})` : "";
       app.toast(`${why}${who}. To finish it by hand, draw its boxes on the pseudo-views.`, "warn");
       teach.draw(box);
