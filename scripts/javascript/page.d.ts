@@ -219,7 +219,8 @@ type Overlay = {
   tag?: string;
 };
 
-type Handles = { edges: boolean; corners: boolean; rotate: boolean };
+/** `sight`: the line of sight, px of the picture for each metre, along which the box can be moved. */
+type Handles = { edges: boolean; corners: boolean; rotate: boolean; sight: Point | null };
 type EditKind = "draw" | "move" | "resize" | "nudge" | "delete" | "accept";
 type Editor = ReturnType<typeof import("../../web_assets/js/editor2d/editor.js").createEditor>;
 type View = ReturnType<typeof import("../../web_assets/js/editor2d/geometry.js").createView>;
@@ -256,6 +257,8 @@ interface EditorOptions {
   onSelect?: (index: number) => unknown;
   /** Called by the rotation handle; a positive angle turns x towards y. The editor shows the turn until setBoxes. */
   onRotate?: (angleRad: number, isFinal: boolean) => unknown;
+  /** Called by the handle on the line of sight, like `onRotate`. */
+  onSlide?: (metres: number, isFinal: boolean) => unknown;
   /** Called by a click within the outline of an overlay with an id, but in no box. */
   onOverlay?: (id: string) => unknown;
 }
@@ -285,11 +288,17 @@ interface EditorInside {
   put(index: number, box: EditorBox): void;
   commit(why: EditKind, index: number): void;
   turn(angleRad: number, isFinal: boolean): void;
+  slide(metres: number, isFinal: boolean): void;
   accept(index: number): void;
 }
 
 /** The thing under a pointer; the sides are -1, 0 or 1. */
-type Hit = { kind: "rotate" | "resize" | "move" | "draw" | "nothing"; index: number; sideX?: number; sideY?: number };
+type Hit = {
+  kind: "rotate" | "slide" | "resize" | "move" | "draw" | "nothing";
+  index: number;
+  sideX?: number;
+  sideY?: number;
+};
 
 /** From pointer down to pointer up; px are of the picture, the point is in the window. */
 type Gesture = {

@@ -171,6 +171,17 @@ test("the rotation handle counts clockwise angles as positive", async () => {
   assert.deepEqual(it.whys(), ["rotate"]);
 });
 
+test("the handle on the line of sight counts metres along it, whatever the pointer does across it", async () => {
+  const metres = [];
+  const it = await editorOf({ onSlide: (by, isFinal) => isFinal && metres.push(by) });
+  it.editor.setHandles({ sight: [0, -40] });
+  it.set([box(110, 100, 210, 160)]);
+  const up = 20 / it.editor.transform.scale;
+  it.drag([160, 100 - up], [175, 100 - up - 60]);
+  near(metres, [1.5]);
+  assert.deepEqual(it.whys(), []);
+});
+
 test("one finger draws, and two fingers zoom", async () => {
   const it = await editorOf();
   const touch = (type, pointerId, at) => it.send(type, at, { pointerId, pointerType: "touch" });

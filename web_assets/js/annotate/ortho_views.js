@@ -35,6 +35,9 @@ const NAMES = ["top", "front", "side"];
 /** A box whose axes differ from the view's by more than this is drawn as its 12 edges, not as a rectangle. */
 const ALIGNED = Math.cos((0.2 * Math.PI) / 180);
 
+/** Share of the line of sight that lies in a view on which it can be dragged. */
+const FLAT = 0.7;
+
 export function createOrthoViews(
   /** @type {HTMLElement} */ host,
   /** @type {ModeApp} */ app,
@@ -174,6 +177,13 @@ function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
       end();
       void desk.commit();
     },
+    onSlide(metres, isFinal) {
+      if (!desk.shown) return;
+      desk.preview({ box: slid(begin(desk.shown), metres) });
+      if (!isFinal) return;
+      end();
+      void desk.commit();
+    },
   });
   editor.setHandles({ edges: true, corners: true, rotate: true });
 
@@ -223,6 +233,7 @@ function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
       editor.setOverlays([heading(view, box)]);
     } else if (isAligned(view, box)) {
       editor.setBoxes([{ ...viewRect(view, box), label: "", caption: "" }], 0);
+      editor.setHandles({ sight: sightOn(view, box) });
       editor.setOverlays([heading(view, box)]);
     } else {
       editor.setBoxes([]);
@@ -283,4 +294,18 @@ function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
 /** True if each of the view's axes is parallel to one of the box's. */
 function isAligned(/** @type {Plane} */ view, /** @type {Box3D} */ box) {
   return [0, 1].every((i) => [0, 1, 2].some((k) => Math.abs(dot(view.axes[i], boxAxis(box, k))) > ALIGNED));
+}
+
+/** A box moved along the line of sight from the camera, metres; it stays in front of the camera. */
+function slid(/** @type {Box3D} */ box, /** @type {number} */ metres) {
+  const distance = Math.hypot(...box.center);
+  const scale = Math.max(distance + metres, 0.1) / distance;
+  return { ...copyBox(box), center: box.center.map((value) => value * scale) };
+}
+
+/** The line of sight to a box on a view, px for each metre; null where it leaves the view steeply. @returns {Point | null} */
+function sightOn(/** @type {Plane} */ view, /** @type {Box3D} */ box) {
+  const distance = Math.hypot(...box.center);
+  const along = [0, 1].map((i) => dot(view.axes[i], box.center) / distance);
+  return Math.hypot(...along) < FLAT ? null : along.map((value) => value / view.metres_per_px);
 }

@@ -5,6 +5,7 @@ import { s } from "../dom.js";
 import { heightOf, widthOf } from "./geometry.js";
 
 export const ROTATE_ARM = 26;
+const SIGHT_ARM = 20;
 /** The arrow of a heading: its length at least, and the lengths between which its head is. */
 const ARROW = { least: 14, head: [6, 13] };
 /** Seen within about 15 degrees of its direction, an arrow is a ring of this radius: with a dot if it comes nearer. */
@@ -23,6 +24,7 @@ const round = (/** @type {number} */ value) => Math.round(value * 100) / 100;
  * @property {boolean} isReadonly
  * @property {Point | null} cross
  * @property {number} turnRad of the selected box, during a turn of its rotation handle.
+ * @property {number} slideM how far the selected box is being moved along the line of sight, metres.
  * @property {(box: EditorBox) => string} colorOf
  */
 
@@ -64,6 +66,11 @@ function drawBox(/** @type {EditorBox} */ box, /** @type {number} */ index, /** 
   const text = box.caption ?? box.label;
   if (text) group.append(...drawCaption(text, rect, color));
   if (isSelected && !scene.isReadonly && !box.readonly) group.append(...drawHandles(rect, scene.handles));
+  const { sight } = scene.handles;
+  if (isSelected && scene.slideM && sight) {
+    const by = sight.map((px) => round(px * scene.slideM * scene.view.scale));
+    group.setAttribute("transform", `translate(${by.join(" ")})`);
+  }
   if (isSelected && scene.turnRad) {
     const turnDeg = (scene.turnRad * 180) / Math.PI;
     group.setAttribute("transform", `rotate(${turnDeg} ${rect.x + rect.width / 2} ${rect.y + rect.height / 2})`);
@@ -87,7 +94,7 @@ function drawCaption(
 
 function drawHandles(
   /** @type {{ x: number, y: number } & Size} */ { x, y, width, height },
-  /** @type {Handles} */ { edges, corners, rotate },
+  /** @type {Handles} */ { edges, corners, rotate, sight },
 ) {
   /** @type {Element[]} */
   const marks = [];
@@ -103,7 +110,29 @@ function drawHandles(
       s("circle", { class: "handle rotate", cx: midX, cy: y - ROTATE_ARM, r: 6, "data-testid": "rotate-handle" }),
     );
   }
+  if (sight) {
+    const { from, to } = sightArm([midX, midY], width, height, sight);
+    marks.push(s("line", { class: "arm", x1: from[0], y1: from[1], x2: to[0], y2: to[1] }));
+    marks.push(s("circle", { class: "handle sight", cx: to[0], cy: to[1], r: 6, "data-testid": "sight-handle" }));
+  }
   return marks;
+}
+
+/**
+ * The arm of the handle that moves a box along the line of sight: from its border to the handle, in the units of `width`.
+ *
+ * @param {Point} middle
+ * @param {number} width
+ * @param {number} height
+ * @param {Point} sight the direction.
+ * @param {number} [unit] a CSS pixel.
+ */
+export function sightArm([x, y], width, height, [dx, dy], unit = 1) {
+  const length = Math.hypot(dx, dy);
+  const [ux, uy] = [dx / length, dy / length];
+  const border = Math.min(width / 2 / Math.max(Math.abs(ux), 1e-9), height / 2 / Math.max(Math.abs(uy), 1e-9));
+  const at = (/** @type {number} */ far) => [x + ux * far, y + uy * far];
+  return { from: at(border), to: at(border + SIGHT_ARM * unit) };
 }
 
 function drawOverlay(/** @type {Overlay} */ overlay, /** @type {View} */ view) {

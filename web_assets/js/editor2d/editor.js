@@ -41,11 +41,13 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
   let selected = -1;
   /** @type {Overlay[]} */
   let overlays = [];
-  let handles = { edges: true, corners: true, rotate: false };
+  /** @type {Handles} */
+  let handles = { edges: true, corners: true, rotate: false, sight: null };
   let isReadonly = false;
   /** @type {Point | null} */
   let cross = null;
   let turnRad = 0;
+  let slideM = 0;
   let drawn = 0;
   /** @type {string | null} */
   let shownUrl = null;
@@ -65,7 +67,7 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
     // magnified pixels are not smoothed, so that an edge can be aligned with one
     image.classList.toggle("crisp", view.scale * devicePixelRatio > 1.5);
     svg.setAttribute("viewBox", `0 0 ${size.width} ${size.height}`);
-    drawScene(svg, { view, size, boxes, selected, overlays, handles, isReadonly, cross, turnRad, colorOf });
+    drawScene(svg, { view, size, boxes, selected, overlays, handles, isReadonly, cross, turnRad, slideM, colorOf });
     zoomText.textContent = `${Math.round(view.scale * 100)} %`;
   }
 
@@ -148,6 +150,11 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
       turnRad = angleRad;
       redraw();
       options.onRotate?.(angleRad, isFinal);
+    },
+    slide(/** @type {number} */ metres, /** @type {boolean} */ isFinal) {
+      slideM = metres;
+      redraw();
+      options.onSlide?.(metres, isFinal);
     },
     accept,
   };
@@ -288,6 +295,7 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
       boxes = list.map((box) => ({ ...box }));
       selected = boxes[index] ? index : -1;
       turnRad = 0;
+      slideM = 0;
       redraw();
     },
     setOverlays(/** @type {Overlay[]} */ list) {

@@ -16,7 +16,7 @@ import {
   resized,
   widthOf,
 } from "./geometry.js";
-import { ROTATE_ARM } from "./draw.js";
+import { ROTATE_ARM, sightArm } from "./draw.js";
 
 /** @type {Record<string, number>} */
 const REACH = { mouse: 6, pen: 8, touch: 16 };
@@ -65,6 +65,11 @@ export function hitTest(editor, px, pointerType, isForced = false) {
         1.8 * reach
     )
       return { kind: "rotate", index: selected };
+    if (handles.sight) {
+      const middle = [(current.x_min + current.x_max) / 2, (current.y_min + current.y_max) / 2];
+      const { to } = sightArm(middle, widthOf(current), heightOf(current), handles.sight, 1 / view.scale);
+      if (Math.hypot(px[0] - to[0], px[1] - to[1]) < 1.8 * reach) return { kind: "slide", index: selected };
+    }
     const near = edgeNear(current, px, reach, handles);
     if (near) return { kind: "resize", index: selected, ...near };
     if (isInside(current, px)) return options.canMove === false ? draw : { kind: "move", index: selected };
@@ -79,7 +84,7 @@ export function hitTest(editor, px, pointerType, isForced = false) {
 
 export function cursorOf(/** @type {Hit} */ hit) {
   if (hit.kind === "resize") return `${CURSORS[`${hit.sideX},${hit.sideY}`]}-resize`;
-  return { move: "move", rotate: "grab", draw: "crosshair", nothing: "default" }[hit.kind];
+  return { move: "move", rotate: "grab", slide: "grab", draw: "crosshair", nothing: "default" }[hit.kind];
 }
 
 /** The box that a click selects: the smallest one around the point. */
@@ -113,7 +118,14 @@ export function beginGesture(
   /** @type {Point} */ windowPoint,
 ) {
   /** @type {Record<Hit["kind"], (editor: EditorInside, hit: Hit, px: Point) => Drag>} */
-  const makers = { draw: beginDraw, move: beginMove, resize: beginResize, rotate: beginRotate, nothing: beginClick };
+  const makers = {
+    draw: beginDraw,
+    move: beginMove,
+    resize: beginResize,
+    rotate: beginRotate,
+    slide: beginSlide,
+    nothing: beginClick,
+  };
   const before = { boxes: editor.boxes.map((box) => ({ ...box })), selected: editor.selected };
   const gesture = makers[hit.kind](editor, hit, px);
   let isDrag = false;
@@ -221,5 +233,19 @@ function beginRotate(/** @type {EditorInside} */ editor, /** @type {Hit} */ { in
     },
     finish: () => editor.turn(turnRad, true),
     cancel: () => editor.turn(0, false),
+  };
+}
+
+/** Along the line of sight. @returns {Drag} */
+function beginSlide(/** @type {EditorInside} */ editor, /** @type {Hit} */ _hit, /** @type {Point} */ start) {
+  const [dx, dy] = editor.handles.sight ?? [1, 0];
+  let metres = 0;
+  return {
+    move([x, y]) {
+      metres = ((x - start[0]) * dx + (y - start[1]) * dy) / (dx * dx + dy * dy);
+      editor.slide(metres, false);
+    },
+    finish: () => editor.slide(metres, true),
+    cancel: () => editor.slide(0, false),
   };
 }
