@@ -439,7 +439,8 @@ type LabelDraft = { wanted: Wanted; sending: Wanted | null; sent: Promise<boolea
 /** A label that is not stored yet; `actions` is its effort. */
 type NewLabel = {
   label: PageLabel;
-  image_box: Rect & { label: string };
+  /** The box on the image in which it was found; null: it was placed in the top view. */
+  image_box: (Rect & { label: string }) | null;
   /** The box that the detector found. */
   found: Box3D;
   actions: number;

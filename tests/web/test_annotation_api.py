@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
+import numpy as np
 import pytest
 from drawing import Scene, as_json, draw_object
 from room_api import BOX, ROOM, change, propose, state
@@ -242,3 +244,15 @@ def test_a_changed_box_kind_measures_finished_objects_again(live: Live, project:
     for _ in range(2):
         live.client.post(f"{ROOM}/undo", json={})
     assert iou_3d(project.labels.get(uids[0]).label.box, drawn[uids[0]]) == pytest.approx(1)
+
+
+def test_the_top_view_is_drawn_where_it_is_looked_at_and_places_boxes(live: Live, project: Project) -> None:
+    place = {"left_m": -2.0, "top_m": -6.0, "metres_per_px": 0.05, "width": 80, "height": 60}
+    answer = live.client.get(f"{ROOM}/frames/1/map.png", params={"right": [1, 0, 0], "down": [0, 0, -1], **place})
+    picture = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_COLOR)
+    assert picture.shape == (60, 80, 3) and len(np.unique(picture.reshape(-1, 3), axis=0)) > 20
+    assert 1 < live.client.get(f"{ROOM}/frames/1/reach").json() < 20
+    askew = live.client.get(f"{ROOM}/frames/1/map.png", params={"right": [1, 0, 0], "down": [1, 0, 0], **place})
+    assert askew.status_code == 400 and "perpendicular" in askew.text
+    body = {"point": [0.0, 0.0, 3.0], "label": "person"}
+    assert "how large a person is" in live.client.post(f"{ROOM}/frames/1/place", json=body).json()["note"]

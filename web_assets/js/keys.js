@@ -82,6 +82,7 @@ export const KEYS = [
     ["previous-of-track", ["Shift+P"], "Previous frame of this object", ["Shift", "P"]],
   ]),
   ...rows("View", ANNOTATE, [
+    ["top-view", ["M"], "Top view (a map) or 3D view"],
     ["points-larger", ["+", "="], "Larger points", ["+"]],
     ["points-smaller", ["-"], "Smaller points"],
     ["fit", ["0", "Home"], "Fit the pictures to their panels"],

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Path
+import numpy as np
+from fastapi import APIRouter, Path, Query
 from fastapi.responses import JSONResponse, Response
 from pydantic import Field
 
+from annotator.geometry.projection import every_nth
+from annotator.image_bytes import encoded_image
 from annotator.project import History, Origin, Reverted
 from annotator.project.changes import (
     FrameFinalised,
@@ -21,8 +24,9 @@ from annotator.project.changes import (
 )
 from annotator.project.overview import neighbours
 from annotator.project.records import BoxRecord
+from annotator.rcv.pseudo_view import Window, render_window
 from annotator.types import BoxKind, ReviewState, Suggestion
-from annotator.types.errors import HistoryError
+from annotator.types.errors import ConfigError, HistoryError
 from annotator.web.context import AtProject, Ctx, InProject
 from annotator.web.errors import AnsweredError, error_response
 from annotator.web.frame_json import STALE, AtFrame, InFrame, ModelResponse
@@ -32,6 +36,7 @@ from annotator.web.schemas import (
     FrameChange,
     FrameStateJson,
     LabelValues,
+    Metres,
     RowId,
     Schema,
     Uid,
@@ -240,6 +245,42 @@ def image(ctx: Ctx, name: str, frame_id: RowId, v: str | None = None) -> Respons
     """The camera image. With the version `v` from a frame's state, browsers may cache it."""
     opened = ctx.caches.frames.open(ctx.project(name), frame_id)
     return Response(opened.jpeg, media_type="image/jpeg", headers={"Cache-Control": CACHE_FOREVER if v else "no-cache"})
+
+
+# Share of the points that the top view shows first, percent: a few lie far behind the others.
+MAP_PERCENT = 95.0
+
+
+@router.get("/api/projects/{name}/frames/{frame_id}/reach")
+def reach(at: AtFrame) -> float:
+    """How far most of a frame's points are from the camera, metres; 0 without points."""
+    xyz_m = every_nth(at.open().frame.cloud.xyz_m, 10_000)
+    return float(np.percentile(np.linalg.norm(xyz_m, axis=1), MAP_PERCENT)) if len(xyz_m) else 0.0
+
+
+Axis = Annotated[list[float], Query(min_length=3, max_length=3)]
+MapSide = Annotated[int, Query(ge=1, le=4096)]
+
+
+@router.get("/api/projects/{name}/frames/{frame_id}/map.png", response_class=Response)
+def map_picture(
+    at: AtFrame,
+    right: Axis,
+    down: Axis,
+    left_m: Metres,
+    top_m: Metres,
+    metres_per_px: Annotated[float, Query(ge=1e-4, le=100.0)],
+    width: MapSide,
+    height: MapSide,
+    v: str | None = None,
+) -> Response:
+    """A part of the plane with these axes (unit vectors of the camera frame), from its left upper corner."""
+    axes = np.array([right, down, np.cross(right, down)])
+    if not np.allclose(axes @ axes.T, np.eye(3), atol=1e-3):
+        raise ConfigError("right and down must be perpendicular unit vectors")
+    window = Window(np.array([left_m, top_m]), metres_per_px, width, height)
+    content = encoded_image(render_window(at.open().frame.cloud, axes, window))
+    return Response(content, media_type="image/png", headers={"Cache-Control": CACHE_FOREVER if v else "no-cache"})
 
 
 @router.get("/api/projects/{name}/views/{view_id}.png", response_class=Response)

@@ -31,6 +31,7 @@ from annotator.web.schemas import (
     QualityJson,
     Schema,
     Uid,
+    Vector3,
     ViewJson,
 )
 from annotator.workflows.checking.project_labels import CheckReport, check_project
@@ -40,7 +41,7 @@ from annotator.workflows.workbench.contact_sheet import ortho_views
 from annotator.workflows.workbench.drawing_steps import Labelling, frame_config, label_object
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import Readiness
-from annotator.workflows.workbench.refit import FoundBox, find_box, place_box, refit
+from annotator.workflows.workbench.refit import FoundBox, find_box, place_box, place_on_ground, refit
 from annotator.workflows.workbench.review_queue import Order
 from annotator.workflows.workbench.review_queue import queue as all_items
 from annotator.workflows.workbench.save_object import ObjectDrawn, copy_boxes, save_object
@@ -108,6 +109,20 @@ def fit(at: AtFrame, body: ImageBoxIn) -> FitOut:
     if found.too_few_points:
         found = place_box(opened, body.image_box.box(), config)
     return _fitted(at, found, ready)
+
+
+class PlaceIn(Schema):
+    """A point (camera frame, metres) above or below which an object of a class stands."""
+
+    point: Vector3
+    label: ClassName
+
+
+@router.post("/api/projects/{name}/frames/{frame_id}/place")
+def place(at: AtFrame, body: PlaceIn) -> FitOut:
+    """Place a box of the class's typical size on the ground, turned like what stands there. Nothing is stored."""
+    opened, config, ready = _ready(at)
+    return _fitted(at, place_on_ground(opened, np.array(body.point), body.label, config, ready.detector), ready)
 
 
 def _fitted(at: InFrame, found: FoundBox, ready: Readiness) -> FitOut:

@@ -170,6 +170,47 @@ def place_box(opened: OpenFrame, image_box: Box2D, config: RcvConfig) -> FoundBo
     return replace(_result(opened, box, None, f"{why}: placed by its size alone"), too_few_points=True)
 
 
+# Of an object that is placed on the ground: what is higher above it belongs to an object, metres; the ground is the
+# lowest of the points around, but for stray ones; so many points turn the box, and are measured by the detector.
+ABOVE_GROUND_M, GROUND_PERCENT, AROUND_M, LEAST_STANDING = 0.2, 5.0, 3.0, 30
+
+
+def place_on_ground(
+    opened: OpenFrame, point_m: Float64[np.ndarray, "3"], label: str, config: RcvConfig, detector: Detector | None
+) -> FoundBox:
+    """Places a box of the class's typical size on the ground below or above a point, turned like what stands there.
+
+    With enough points in it, it is fitted to them by the detector. Without points around, the ground is as far below
+    the camera as the box is high.
+    """
+    frame, known = opened.frame, (*config.typical_sizes, *config.reviewed_sizes)
+    typical = typical_size(label, known)
+    if typical is None:
+        why = f"no reviewed box tells how large a {label} is: draw one on the image first"
+        return not_found(why, too_few_points=True)
+    size_m = np.array(typical.size_m)
+    up = np.array([0.0, -1.0, 0.0]) if frame.up is None else frame.up
+    level = (frame.cloud.xyz_m - point_m) @ (np.eye(3) - np.outer(up, up))
+    height_m = frame.cloud.xyz_m @ up
+    distance_m = np.linalg.norm(level, axis=1)
+    near = distance_m < max(AROUND_M, float(size_m[0]))
+    ground_m = float(np.percentile(height_m[near], GROUND_PERCENT)) if near.any() else -float(size_m[2])
+    stands = near & (height_m > ground_m + ABOVE_GROUND_M) & (height_m < ground_m + size_m[2] + ABOVE_GROUND_M)
+    stands &= distance_m < size_m[0] / 2 + ABOVE_GROUND_M
+    ahead = point_m - (point_m @ up) * up
+    if stands.sum() >= LEAST_STANDING:
+        ahead = np.linalg.svd(level[stands] - level[stands].mean(axis=0), full_matrices=False)[2][0]
+        ahead = ahead - (ahead @ up) * up
+    heading = unit(ahead if np.linalg.norm(ahead) > 0 else np.cross(up, np.array([1.0, 0.0, 0.0])))
+    rotation = np.column_stack([heading, np.cross(up, heading), up])
+    center_m = point_m - (point_m @ up) * up + (ground_m + size_m[2] / 2) * up
+    box = OrientedBox.from_parts(center_m, rotation, size_m)
+    placed = replace(_result(opened, box, None, None), too_few_points=True)
+    if placed.points < LEAST_STANDING or _why_no_detector(detector, label, config, None) is not None:
+        return placed
+    return refit(opened, box, label, config, detector)
+
+
 def _found(
     opened: OpenFrame, image_box: Box2D, config: RcvConfig, detector: Detector, known: Sequence[Span]
 ) -> FoundBox:

@@ -281,6 +281,40 @@ def test_a_new_box_is_drawn_on_the_image(
     assert all(abs(kept[edge] - scene.image_box(0)[edge]) < 0.6 for edge in ("x_min", "y_min", "x_max", "y_max"))
 
 
+def test_a_click_in_the_top_view_places_a_box_and_a_drag_moves_and_turns_it(desk: Desk, wait_for) -> None:
+    page, first = desk.page, desk.uid
+    desk.press("Space")  # a reviewed box tells how large a person is
+    wait_for(lambda: desk.uid != first)
+    desk.settled()
+    frame = desk.frame
+    known = {label.uid for label in desk.project.labels.of_frame(frame)}
+    desk.press("m")
+    view = page.get_by_test_id("map")
+    view.locator("img.picture[src]").wait_for()
+    around = view.bounding_box()
+    assert around is not None
+    page.mouse.click(around["x"] + 0.5 * around["width"], around["y"] + 0.1 * around["height"])
+    expect(page.get_by_test_id("label-state")).to_have_text("new")
+    desk.settled()
+    before = float(page.get_by_label("x in m").input_value())
+    box, handle = view.locator(".box.selected polygon"), page.get_by_test_id("map-handle")
+    (x, y), (turn_x, turn_y) = middle(box), middle(handle)
+    desk.drag((x, y), (x + 60, y))
+    wait_for(lambda: float(page.get_by_label("x in m").input_value()) > before + 0.3)
+    yaw = page.get_by_label("yaw in °").input_value()
+    desk.drag((turn_x + 60, turn_y), (x + 60 + abs(turn_y - y) + 20, y))
+    wait_for(lambda: page.get_by_label("yaw in °").input_value() != yaw)
+    desk.press("Space")
+    new = lambda: [label for label in desk.project.labels.of_frame(frame) if label.uid not in known]  # noqa: E731
+    wait_for(lambda: len(new()) == 1)
+    assert new()[0].state is ReviewState.ACCEPTED and new()[0].box.center_m[0] > before + 0.3
+    # a click on a box selects it
+    desk.settled()
+    desk.press("Escape")
+    page.mouse.click(x + 60, y)
+    expect(page.locator('[data-testid="frame-box"][aria-current="true"]')).to_have_attribute("data-uid", new()[0].uid)
+
+
 STARTS_S = 60.0
 LEFT, TOP, WIDTH, HEIGHT = 200, 100, 700, 520
 

@@ -45,7 +45,7 @@ from annotator.workflows.workbench.contact_sheet import (
     views_of_points,
 )  # fmt: skip
 from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.refit import place_box, refit
+from annotator.workflows.workbench.refit import place_box, place_on_ground, refit
 from annotator.workflows.workbench.save_object import copy_boxes
 
 
@@ -337,3 +337,25 @@ def test_an_object_without_points_is_placed_by_its_size(opened: OpenFrame) -> No
         assert abs(found.box.rotation[:, 0] @ true.rotation[:, 0]) > 0.99
     unknown = place_box(opened, replace(drawn, label="unheard-of"), config)
     assert unknown.box is None and "how large a unheard-of is" in (unknown.note or "")
+
+
+def test_a_box_is_placed_on_the_ground_and_turned_like_what_stands_there(opened: OpenFrame) -> None:
+    camera_height_m, turn = 1.7, Rotation.from_euler("y", 30, degrees=True)
+    ground = np.stack(np.meshgrid(np.arange(-8, 8, 0.2), [camera_height_m], np.arange(4, 20, 0.2)), -1).reshape(-1, 3)
+    rng = np.random.default_rng(3)
+    size_m, middle_m = np.array([4.0, 1.6, 1.5]), np.array([1.0, camera_height_m - 0.75, 12.0])
+    # length along the view, width to the side, height up, before the turn
+    standing = middle_m + turn.apply(rng.uniform(-0.5, 0.5, (400, 3)) * size_m[[1, 2, 0]])
+    points = np.concatenate([ground, standing]).astype(np.float32)
+    frame = replace(opened.frame, cloud=PointCloud(points), up=np.array([0.0, -1.0, 0.0]))
+    config = RcvConfig(reviewed_sizes=(TypicalSize(label="zorb", size_m=tuple(size_m), spread=(0.1, 0.1, 0.1)),))
+    point_m = np.array([1.1, 0.0, 12.1])
+    found = place_on_ground(OpenFrame(frame), point_m, "zorb", config, None)
+    assert found.box is not None and found.note is None
+    np.testing.assert_allclose(found.box.center_m, [1.1, camera_height_m - 0.75, 12.1], atol=0.02)
+    assert abs(found.box.rotation[:, 0] @ turn.apply([0.0, 0.0, 1.0])) > np.cos(np.radians(3))
+    empty = replace(frame, cloud=PointCloud(points[: len(ground)]))
+    alone = place_on_ground(OpenFrame(empty), point_m, "zorb", config, None).box
+    assert alone is not None and abs(alone.rotation[:, 0] @ (point_m / np.linalg.norm(point_m))) > 0.999
+    unknown = place_on_ground(OpenFrame(frame), point_m, "unheard-of", config, None)
+    assert unknown.box is None and "draw one on the image first" in (unknown.note or "")

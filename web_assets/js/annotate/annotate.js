@@ -18,6 +18,7 @@ import { createDesk, isOpen } from "./desk.js";
 import { createFields } from "./fields.js";
 import { createFollow } from "./follow.js";
 import { createImagePanel } from "./image_panel.js";
+import { createMap } from "./map.js";
 import { createOpening } from "./opening.js";
 import { createOrthoViews } from "./ortho_views.js";
 import { createPreload } from "./preload.js";
@@ -28,6 +29,8 @@ import { createBoxList, createQueueList } from "./side_lists.js";
 import { createTeach } from "./teach.js";
 import { createTracks } from "./tracks.js";
 
+/** Whether the top view is shown in place of the 3D view. */
+const MAP_KEPT = "top-view";
 /** A picture with a greater ratio of width to height gets a wider panel. */
 const WIDE_ASPECT = 1.9;
 
@@ -94,7 +97,12 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     onMode: () => showActions(),
     canDraw: () => commands.canDraw(),
   });
-  const scene = createScene(parts.scene, app, desk, () => teach);
+  const scene = createScene(parts.scene, app, desk, { teach: () => teach, onMap: () => turnMap(true) });
+  const map = createMap(parts.map, app, desk, {
+    onPlace: (point) => commands.placeAt(point),
+    onClose: () => turnMap(false),
+  });
+  turnMap(localStorage.getItem(MAP_KEPT) === "true");
   const ortho = createOrthoViews(parts.ortho, app, desk, preload);
   const teach = createTeach(parts.object, app, desk, {
     onChange: showDrawn,
@@ -133,6 +141,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     image,
     ortho,
     teach,
+    map,
     picker,
     root: parts.root,
   });
@@ -181,6 +190,14 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     scene.show();
   }
 
+  /** Shows the top view in place of the 3D view, or this one again. */
+  function turnMap(/** @type {boolean} */ on) {
+    localStorage.setItem(MAP_KEPT, String(on));
+    parts.scene.hidden = on;
+    parts.map.hidden = !on;
+    map.turn(on);
+  }
+
   function setGizmo(/** @type {Api.Gizmo} */ mode) {
     scene.setGizmo(mode);
     showActions();
@@ -198,6 +215,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     showQueue();
     // not the old frame again while the next one is being opened
     if (!opening.loading) scene.show();
+    map.show();
     void ortho.show();
   }
 
@@ -209,6 +227,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
         image.show();
         boxList.show();
         ortho.follow();
+        map.show();
         fields.show();
         attributes.show();
         scene.preview();
@@ -250,7 +269,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       desk.refresh().catch(app.toast);
     }),
     app.keys.register(
-      bindings({ commands, opening, tracks, sheet, scene, image, ortho, teach, setGizmo, attributes }),
+      bindings({ commands, opening, tracks, sheet, scene, image, ortho, teach, map, turnMap, setGizmo, attributes }),
     ),
   ];
 
@@ -297,6 +316,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       preload.stop();
       boxList.destroy();
       teach.destroy();
+      map.destroy();
       image.destroy();
       app.events.openFrame(null);
     },
@@ -316,6 +336,7 @@ export function layout() {
   const classes = part("next-class", "Class of the next box");
   const imagePanel = part("image", "Camera image");
   const scene = part("scene", "3D view");
+  const map = part("scene", "Top view");
   const ortho = h("div", { class: "orthos", "data-testid": "orthos" });
   const object = h("div", { class: "object" }, ortho);
   const problem = h("span", {});
@@ -326,7 +347,7 @@ export function layout() {
     "div",
     { class: "annotate" },
     h("div", { class: "side" }, queue, boxes, classes),
-    h("div", { class: "pictures" }, imagePanel, scene),
+    h("div", { class: "pictures" }, imagePanel, scene, map),
     h("div", { class: "bar" }, actions, problem, saving),
     h("div", { class: "details" }, object, fields),
   );
@@ -337,6 +358,7 @@ export function layout() {
     classes,
     image: imagePanel,
     scene,
+    map,
     object,
     ortho,
     fields,
@@ -369,10 +391,25 @@ export function emptyProject(/** @type {string} */ name) {
  * @param {ReturnType<typeof import("./image_panel.js").createImagePanel>} parts.image
  * @param {ReturnType<typeof import("./ortho_views.js").createOrthoViews>} parts.ortho
  * @param {Teach} parts.teach
+ * @param {ReturnType<typeof import("./map.js").createMap>} parts.map
+ * @param {(on: boolean) => void} parts.turnMap
  * @param {(mode: Api.Gizmo) => void} parts.setGizmo
  * @param {ReturnType<typeof import("../attributes.js").createAttributes>} parts.attributes
  */
-export function bindings({ commands, opening, tracks, sheet, scene, image, ortho, teach, setGizmo, attributes }) {
+export function bindings({
+  commands,
+  opening,
+  tracks,
+  sheet,
+  scene,
+  image,
+  ortho,
+  teach,
+  map,
+  turnMap,
+  setGizmo,
+  attributes,
+}) {
   // a key that is held down acts on one box only, not on the following ones
   const once =
     (/** @type {(key: string) => unknown} */ fn) =>
@@ -414,9 +451,11 @@ export function bindings({ commands, opening, tracks, sheet, scene, image, ortho
     "points-smaller": () => scene.points(0.8),
     fit: () => {
       image.fit();
+      map.fit();
       ortho.fit();
       teach.fit();
     },
+    "top-view": once(() => turnMap(!map.isShown)),
     teach: once(() => teach.turn(!teach.isOn)),
     "next-whole-box": once(() => teach.nextWhole()),
   };

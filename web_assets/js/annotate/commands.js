@@ -23,10 +23,11 @@ const LABEL_ELSEWHERE =
  * @param {ReturnType<typeof import("./image_panel.js").createImagePanel>} parts.image
  * @param {ReturnType<typeof import("./ortho_views.js").createOrthoViews>} parts.ortho
  * @param {Teach} parts.teach
+ * @param {ReturnType<typeof import("./map.js").createMap>} parts.map
  * @param {ReturnType<typeof import("./class_picker.js").createClassPicker>} parts.picker
  * @param {HTMLElement} parts.root
  */
-export function createCommands(app, { desk, queue, opening, follow, image, ortho, teach, picker, root }) {
+export function createCommands(app, { desk, queue, opening, follow, image, ortho, teach, map, picker, root }) {
   function stepBox(/** @type {number} */ by) {
     const uids = desk.labels().map(({ uid }) => uid);
     if (uids.length === 0) return;
@@ -183,6 +184,26 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     }
   }
 
+  /** A box of the next class is placed where the top view was clicked. */
+  async function placeAt(/** @type {Vector} */ point) {
+    if (!canDraw()) return;
+    const { id } = currentFrame(app).frame;
+    try {
+      /** @type {Api.FitOut} */
+      const {
+        box,
+        note,
+        too_few_points: _,
+        ...facts
+      } = await app.api.post(app.path("frames", id, "place"), { point, label: picker.label });
+      if (app.state.frame?.frame.id !== id || !root.isConnected) return;
+      if (box) desk.add({ ...facts, box, label: picker.label, image_box: null });
+      else app.toast(`${note ?? "Nothing was placed"}`, "warn");
+    } catch (error) {
+      app.toast(error);
+    }
+  }
+
   async function copy() {
     if (app.state.frame?.frame.previous == null) return;
     try {
@@ -222,7 +243,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
 
   /** Cancels a drag, or else an edit that is not saved, or else deselects. */
   function cancel() {
-    if (ortho.cancel() || image.cancel() || teach.cancel()) return;
+    if (map.cancel() || ortho.cancel() || image.cancel() || teach.cancel()) return;
     if (desk.hasDraft) desk.revert();
     else desk.select(null);
   }
@@ -240,6 +261,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     canDraw,
     draw,
     fitDrawn,
+    placeAt,
     copy,
     finalise,
     setClass,

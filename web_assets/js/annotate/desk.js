@@ -463,7 +463,7 @@ export function createDesk(/** @type {App} */ app) {
       for (const entry of added.values()) {
         const label = renamed[entry.label.label] ?? entry.label.label;
         entry.label = { ...entry.label, label };
-        entry.image_box = { ...entry.image_box, label };
+        entry.image_box = entry.image_box && { ...entry.image_box, label };
       }
       notify("draft");
     },

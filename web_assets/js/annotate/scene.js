@@ -17,7 +17,7 @@ export function createScene(
   /** @type {HTMLElement} */ host,
   /** @type {ModeApp} */ app,
   /** @type {Desk} */ desk,
-  /** @type {() => Teach} */ teach,
+  /** @type {{ teach: () => Teach, onMap: () => void }} */ { teach, onMap },
 ) {
   const body = h("div", { class: "viewport-host" });
   const note = h("span", { class: "muted number", "data-testid": "viewport-points" });
@@ -39,7 +39,15 @@ export function createScene(
     title: "Look from the camera",
     "data-testid": "reset-view",
   });
-  host.append(h("header", {}, h("h2", {}, "3D view"), note, h("span", { class: "grow" }), color, reset), body);
+  const topView = button(["Top view", h("kbd", {}, "M")], onMap, {
+    class: "quiet small",
+    title: "A map: click to place a box, drag to move it (M)",
+    "data-testid": "show-map",
+  });
+  host.append(
+    h("header", {}, h("h2", {}, "3D view"), note, h("span", { class: "grow" }), color, reset, topView),
+    body,
+  );
   const { viewport } = app;
   /** @type {{ gizmo: Api.Gizmo, color: Api.PointColor, point_size: number }} */
   const chosen = { gizmo: "off", color: "rgb", point_size: 1 };

@@ -1,0 +1,325 @@
+/**
+ * The top view: a map of the frame's points, seen against gravity, with the boxes of the frame. It is moved and zoomed
+ * without end; the server draws the part that is looked at. A click selects a box, or places one of the chosen class; a
+ * drag moves the selected box, and its handle turns it.
+ */
+
+import { boxAxis, copyBox, corners, toView, turned } from "../box3d.js";
+import { cameraOf } from "../camera.js";
+import { button, h, s } from "../dom.js";
+import { hull, isInHull } from "../editor2d/geometry.js";
+import { add, cross, dot, length, scale, subtract } from "../rotation.js";
+import { shortName, STATE_COLORS } from "./drawing.js";
+
+/** The part that is looked at is drawn after so long a rest, ms. */
+const REST_MS = 60;
+const CLICK_PX = 3;
+/** Rings are this far apart on the screen at least, px. */
+const RING_PX = 70;
+const STEPS_M = [1, 2, 5, 10, 20, 50, 100];
+const HANDLE_PX = 16;
+const LIMITS_M_PER_PX = [0.002, 2];
+/** Metres in front of the sensor that are shown first, at most, and if there are no points. */
+const FURTHEST_M = 60;
+/** A direction is steep if it is nearer to the vertical than this cosine. */
+const STEEP = 0.9;
+
+/** The axes of the map: right, down on the screen, and into it, that is with gravity. */
+export function mapAxes(/** @type {Vector | null} */ up) {
+  const against = up ?? [0, -1, 0];
+  const ahead = Math.abs(against[2]) < STEEP ? [0, 0, 1] : [0, -1, 0];
+  const level = subtract(ahead, scale(against, dot(ahead, against)));
+  const forward = scale(level, 1 / length(level));
+  return [cross(forward, against), scale(forward, -1), scale(against, -1)];
+}
+
+/**
+ * @param {HTMLElement} host
+ * @param {ModeApp} app
+ * @param {Desk} desk
+ * @param {{ onPlace: (point: Vector) => void, onClose: () => void }} parts onPlace: called with a point of the camera
+ *     frame, above or below which a box is to be placed.
+ */
+export function createMap(host, app, desk, { onPlace, onClose }) {
+  const picture = h("img", { class: "picture", alt: "", draggable: "false" });
+  const svg = s("svg", { class: "shapes", "aria-hidden": "true" });
+  const root = h(
+    "div",
+    { class: "map", tabindex: 0, role: "application", "aria-label": "Top view", "data-testid": "map" },
+    picture,
+    svg,
+  );
+  host.append(
+    h(
+      "header",
+      {},
+      h("h2", {}, "Top view"),
+      h("span", { class: "muted ellipsis grow" }, "Drag to move, wheel to zoom, click to select or place."),
+      button(["3D view", h("kbd", {}, "M")], onClose, { class: "quiet small", "data-testid": "show-3d" }),
+    ),
+    root,
+  );
+  /** The plane in pixels of the window: the view of box3d.js. @type {Plane} */
+  let plane = { axes: mapAxes(null), origin_m: [0, 0], metres_per_px: 0.1 };
+  /** The plane of the picture that is shown. @type {Plane | null} */
+  let drawn = null;
+  const size = { width: 0, height: 0 };
+  /** The recording that is shown: another one is fitted anew. @type {number | null} */
+  let recording = null;
+  let reachM = 0;
+  let timer = 0;
+  let asked = "";
+  let isShown = false;
+
+  /** Shows what is in front of the sensor, as far as most points reach. */
+  function fit() {
+    const metres = Math.min(reachM || FURTHEST_M, FURTHEST_M) / Math.max(size.height * 0.85, 1);
+    plane = {
+      axes: mapAxes(app.state.frame?.up ?? null),
+      metres_per_px: metres,
+      origin_m: [(-metres * size.width) / 2, -metres * size.height * 0.85],
+    };
+  }
+
+  async function open(/** @type {Api.FrameJson} */ frame) {
+    recording = frame.recording;
+    try {
+      reachM = await app.api.get(app.path("frames", frame.id, "reach"));
+    } catch (error) {
+      app.toast(error);
+    }
+    if (recording !== frame.recording) return;
+    fit();
+    look();
+  }
+
+  /** The part that is looked at has changed. */
+  function look() {
+    draw();
+    clearTimeout(timer);
+    timer = setTimeout(ask, REST_MS);
+  }
+
+  async function ask() {
+    const frame = app.state.frame;
+    if (!frame || !isShown || !size.width) return;
+    const [right, down] = plane.axes;
+    const query = new URLSearchParams([
+      ...right.map((value) => ["right", value.toFixed(7)]),
+      ...down.map((value) => ["down", value.toFixed(7)]),
+      ["left_m", String(plane.origin_m[0])],
+      ["top_m", String(plane.origin_m[1])],
+      ["metres_per_px", String(plane.metres_per_px)],
+      ["width", String(Math.round(size.width))],
+      ["height", String(Math.round(size.height))],
+      ["v", new URLSearchParams(frame.image.url.split("?")[1]).get("v") ?? ""],
+    ]);
+    const url = `${app.path("frames", frame.frame.id, "map.png")}?${query}`;
+    if (url === asked) return;
+    asked = url;
+    const own = { ...plane };
+    const fresh = new Image();
+    fresh.src = url;
+    await fresh.decode().catch(() => null);
+    if (asked !== url) return;
+    picture.src = url;
+    drawn = own;
+    draw();
+  }
+
+  function draw() {
+    const frame = app.state.frame;
+    svg.setAttribute("viewBox", `0 0 ${size.width} ${size.height}`);
+    if (drawn) {
+      const zoom = drawn.metres_per_px / plane.metres_per_px;
+      const [x, y] = [0, 1].map((i) => (drawn ? drawn.origin_m[i] - plane.origin_m[i] : 0) / plane.metres_per_px);
+      picture.style.transform = `translate(${x}px, ${y}px) scale(${zoom})`;
+    }
+    svg.replaceChildren(...(frame ? [...rings(), ...sides(frame), ...boxes()] : []));
+  }
+
+  function rings() {
+    const step = STEPS_M.find((metres) => metres / plane.metres_per_px > RING_PX) ?? 200;
+    const [x, y] = toView(plane, [0, 0, 0]);
+    const furthest = Math.hypot(Math.max(x, size.width - x), Math.max(y, size.height - y)) * plane.metres_per_px;
+    /** @type {SVGElement[]} */
+    const marks = [s("circle", { class: "sensor", cx: x, cy: y, r: 4 })];
+    for (let metres = step; metres < furthest && marks.length < 60; metres += step) {
+      const r = metres / plane.metres_per_px;
+      marks.push(s("circle", { class: "ring", cx: x, cy: y, r }));
+      marks.push(s("text", { class: "ring", x: x + 3, y: y - r - 3 }, `${metres} m`));
+    }
+    return marks;
+  }
+
+  /** The sides of what the camera sees. */
+  function sides(/** @type {FrameState} */ { image }) {
+    const { fx, cx, width } = cameraOf(image);
+    const from = toView(plane, [0, 0, 0]);
+    return [-0.5, width - 0.5].map((px) => {
+      const far = 200 / plane.metres_per_px;
+      const to = toView(plane, [(px - cx) / fx, 0, 1]).map((value, i) => value - from[i]);
+      const share = far / Math.hypot(...to);
+      const [x2, y2] = to.map((value, i) => from[i] + value * share);
+      return s("line", { class: "side", x1: from[0], y1: from[1], x2, y2 });
+    });
+  }
+
+  const seen = () => desk.labels().filter(({ state, uid }) => state !== "rejected" || uid === desk.uid);
+  const outlineOf = (/** @type {Box3D} */ box) => hull(corners(box).map((corner) => toView(plane, corner)));
+
+  /** The middle, the front and the handle of a box. */
+  function arrowOf(/** @type {Box3D} */ box) {
+    const [from, to] = [0, 0.5].map((share) =>
+      toView(plane, add(box.center, scale(boxAxis(box, 0), share * box.size[0]))),
+    );
+    const far = Math.hypot(to[0] - from[0], to[1] - from[1]) || 1;
+    return { from, to, handle: to.map((value, i) => value + ((value - from[i]) / far) * HANDLE_PX) };
+  }
+
+  function boxes() {
+    return seen().flatMap((label) => {
+      const { box } = desk.seen(label);
+      const isSelected = label.uid === desk.uid;
+      const color = STATE_COLORS[label.state];
+      const { from, to, handle } = arrowOf(box);
+      const group = s(
+        "g",
+        { class: isSelected ? "box selected" : "box", "data-testid": "map-box", "data-id": label.uid },
+        s("polygon", {
+          points: outlineOf(box)
+            .map((point) => point.join(","))
+            .join(" "),
+          stroke: color,
+          fill: isSelected ? color : "transparent",
+          "stroke-dasharray": label.isNew ? "5 3" : "none",
+        }),
+        s("line", { x1: from[0], y1: from[1], x2: to[0], y2: to[1], stroke: color }),
+        s("title", {}, shortName(label)),
+      );
+      if (isSelected && !app.state.frame?.frame.finalised)
+        group.append(
+          s("circle", { class: "handle", cx: handle[0], cy: handle[1], r: 6, "data-testid": "map-handle" }),
+        );
+      return [group];
+    });
+  }
+
+  // -- the pointer
+
+  /** @type {{ kind: "pan" | "move" | "turn", at: Point, box: Box3D | null, isDrag: boolean } | null} */
+  let press = null;
+
+  function pointOf(/** @type {MouseEvent} */ event) {
+    const rect = root.getBoundingClientRect();
+    return [event.clientX - rect.left, event.clientY - rect.top];
+  }
+
+  function onDown(/** @type {PointerEvent} */ event) {
+    if (event.button > 1) return;
+    event.preventDefault();
+    root.focus({ preventScroll: true });
+    root.setPointerCapture(event.pointerId);
+    const at = pointOf(event);
+    const box = event.button === 0 && !app.state.frame?.frame.finalised ? (desk.shown?.box ?? null) : null;
+    const handle = box && arrowOf(box).handle;
+    const isTurn = handle !== null && Math.hypot(at[0] - handle[0], at[1] - handle[1]) < 10;
+    const kind = isTurn ? "turn" : box && isInHull(outlineOf(box), at) ? "move" : "pan";
+    press = { kind, at, box: box && copyBox(box), isDrag: false };
+  }
+
+  function onMove(/** @type {PointerEvent} */ event) {
+    if (!press) return;
+    const here = pointOf(event);
+    const [dx, dy] = here.map((value, i) => value - (press?.at[i] ?? 0));
+    press.isDrag ||= Math.hypot(dx, dy) >= CLICK_PX;
+    if (!press.isDrag) return;
+    const m = plane.metres_per_px;
+    if (press.kind === "pan") {
+      plane = { ...plane, origin_m: [plane.origin_m[0] - dx * m, plane.origin_m[1] - dy * m] };
+      press.at = here;
+      look();
+    } else if (press.box && press.kind === "move") {
+      const by = add(scale(plane.axes[0], dx * m), scale(plane.axes[1], dy * m));
+      desk.preview({ box: { ...press.box, center: add(press.box.center, by) } });
+    } else if (press.box) {
+      const middle = toView(plane, press.box.center);
+      const angle = (/** @type {Point} */ [x, y]) => Math.atan2(y - middle[1], x - middle[0]);
+      desk.preview({ box: turned(press.box, plane.axes[2], angle(here) - angle(arrowOf(press.box).to)) });
+    }
+  }
+
+  function onUp(/** @type {PointerEvent} */ event) {
+    const ended = press;
+    press = null;
+    if (!ended) return;
+    if (!ended.isDrag) click(pointOf(event));
+    else if (ended.kind !== "pan") void desk.commit();
+  }
+
+  function click(/** @type {Point} */ at) {
+    const hits = seen().filter((label) => isInHull(outlineOf(desk.seen(label).box), at));
+    if (hits.length) return desk.select(hits[0].uid);
+    const [x, y] = at.map((value, i) => plane.origin_m[i] + value * plane.metres_per_px);
+    onPlace(add(scale(plane.axes[0], x), scale(plane.axes[1], y)));
+  }
+
+  function onWheel(/** @type {WheelEvent} */ event) {
+    event.preventDefault();
+    const lines = event.deltaMode === 1 ? 33 : event.deltaMode === 2 ? 300 : 1;
+    const wanted = plane.metres_per_px * Math.exp(event.deltaY * lines * 0.0017);
+    const metres = Math.min(Math.max(wanted, LIMITS_M_PER_PX[0]), LIMITS_M_PER_PX[1]);
+    const at = pointOf(event);
+    const moved = at.map((value, i) => plane.origin_m[i] + value * (plane.metres_per_px - metres));
+    plane = { ...plane, metres_per_px: metres, origin_m: moved };
+    look();
+  }
+
+  /** Ends a drag without a change; false if there is none. */
+  function cancel() {
+    if (!press?.isDrag || press.kind === "pan") return false;
+    press = null;
+    desk.revert();
+    return true;
+  }
+
+  root.addEventListener("pointerdown", onDown);
+  root.addEventListener("pointermove", onMove);
+  root.addEventListener("pointerup", onUp);
+  root.addEventListener("pointercancel", cancel);
+  root.addEventListener("wheel", onWheel, { passive: false });
+  const watcher = new ResizeObserver(([{ contentRect }]) => {
+    const isFirst = !size.width;
+    Object.assign(size, { width: contentRect.width, height: contentRect.height });
+    if (isFirst) fit();
+    look();
+  });
+  watcher.observe(root);
+
+  return {
+    get isShown() {
+      return isShown;
+    },
+    cancel,
+    fit() {
+      fit();
+      look();
+    },
+    /** Shows the map, or hides it. */
+    turn(/** @type {boolean} */ on) {
+      isShown = on;
+      if (on) this.show();
+    },
+    /** Another frame, box or selection. */
+    show() {
+      const frame = app.state.frame?.frame;
+      if (!isShown || !frame) return;
+      if (frame.recording !== recording) void open(frame);
+      else look();
+    },
+    destroy() {
+      clearTimeout(timer);
+      watcher.disconnect();
+    },
+  };
+}
