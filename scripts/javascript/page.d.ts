@@ -212,7 +212,7 @@ type EditorBox = Box2D & {
 /** An arrow in px of a picture; `sight`: cosine of the angle between it and the line of sight. */
 type Arrow = { from: Point; to: Point; sight: number };
 
-/** Lines over the picture. One with an `id` can be clicked; `tag` is a short text at its top corner. */
+/** Lines over the picture. One with an `id` can be clicked; `tag` is a short text at its top corner; `wrong`: its heading. */
 type Overlay = {
   id?: string;
   segments: Line[];
@@ -221,6 +221,7 @@ type Overlay = {
   dash?: boolean;
   strong?: boolean;
   tag?: string;
+  wrong?: boolean;
 };
 
 type Handles = { edges: boolean; corners: boolean; rotate: boolean };

@@ -96,7 +96,7 @@ def test_keys_and_clicks_change_decide_and_select_boxes(desk: Desk, wait_for) ->
     page.reload()
     desk.settled()
     # the heading turns by 90 degrees and the corners stay
-    desk.press("f")
+    desk.press("Shift+F")
     wait_for(lambda: desk.label.state is ReviewState.EDITED)
     turned = desk.label.box
     np.testing.assert_allclose(turned.size_m, before.size_m[[1, 0, 2]], atol=1e-9)

@@ -69,6 +69,23 @@ export function removal(/** @type {Item} */ item, /** @type {() => Api.BoxKind} 
 }
 
 /**
+ * Changes a label's 3D box; `kind`: what it encloses, null = as before.
+ *
+ * @param {Api.LabelJson} label
+ * @param {Box3D} box
+ * @param {{ kind: Api.BoxKind | null, item: Item, words: string, outline: Line[] }} more
+ * @returns {FrameChange}
+ */
+export function boxChange({ uid, label, track_id }, box, { kind, item, words, outline }) {
+  return {
+    path: ["changes"],
+    item,
+    body: () => ({ subject: uid, changes: [{ kind: "edit", uid, label, box, track_id, box_kind: kind }] }),
+    mine: () => ({ text: [`${label}: ${words}`], boxes: [], outlines: [outline] }),
+  };
+}
+
+/**
  * Changes the kind of all boxes of the frame: what they enclose.
  *
  * @returns {FrameChange}

@@ -1,13 +1,13 @@
 /** Shows Label mode's state in all its panels: image, views, list, bar, hint and 3D view. */
 
+import { headingJump } from "../box3d.js";
 import { cameraOf, imageHeading } from "../camera.js";
+import { STATE_COLORS } from "../review/drawing.js";
 import { filledBoxes } from "./draft.js";
 import { plainBox, secondAxes } from "./items.js";
 import { hintFor } from "./views_pane.js";
 import { openGuesses } from "./work.js";
 
-/** @type {Record<string, string>} */
-const STATE_COLOR = { proposed: "#f0ad4e", accepted: "#5fca85", edited: "#6aaef5" };
 const PREVIEW_COLOR = "#ff5d8f";
 
 export const isFinished = (/** @type {Item} */ item) => Boolean(item.uid) && item.boxes.every(Boolean);
@@ -113,12 +113,13 @@ export function createDisplay(app, work, parts) {
     const { draft } = work;
     const shown = state.labels.filter(({ state: review }) => review !== "rejected");
     /** @type {Overlay[]} */
-    const lines = shown.map(({ uid, state: review, outline, box }) => ({
-      id: uid,
-      segments: outline,
-      heading: imageHeading(cameraOf(state.image), box),
-      color: STATE_COLOR[review],
-      strong: uid === draft?.item.uid,
+    const lines = shown.map((label) => ({
+      id: label.uid,
+      segments: label.outline,
+      heading: imageHeading(cameraOf(state.image), label.box),
+      color: STATE_COLORS[label.state],
+      strong: label.uid === draft?.item.uid,
+      wrong: headingJump(label) !== null,
     }));
     if (draft?.outline && !isFinished(draft.item))
       lines.push({ segments: draft.outline, color: PREVIEW_COLOR, dash: true, strong: true });

@@ -164,6 +164,8 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       "previous-box": () => objects.cycle(-1),
       class: (_, digit) => pickClass(Number(digit)),
       attribute: (_, key) => attributes.press(key),
+      turn: (event) => event.repeat || objects.turn(2),
+      "turn-quarter": (event) => event.repeat || objects.turn(1),
       delete: () => focused().deleteSelected(),
       cancel,
       finalise,

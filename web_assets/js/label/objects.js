@@ -1,8 +1,9 @@
 /** The effects of a drag on the object that is being drawn: its views, its boxes, its class, and what is saved. */
 
+import { headingTurned } from "../box3d.js";
 import { messageOf } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
-import { objectChange, removal } from "./changes.js";
+import { boxChange, objectChange, removal } from "./changes.js";
 import { isFinished } from "./display.js";
 import { createMoves, demoteSecondStep, makeDraft, takeSteps } from "./draft.js";
 import { makeItem, plainBox, sameBox } from "./items.js";
@@ -242,6 +243,17 @@ export function createObjects(app, work, parts) {
     show();
   }
 
+  /** Turns the 3D box of the finished object by so many quarters; false if there is none. */
+  function turn(/** @type {number} */ quarters) {
+    const item = work.draft?.item;
+    const label = app.state.frame?.labels.find(({ uid }) => uid === item?.uid);
+    if (!item || !label || work.isReadonly) return false;
+    app.effort.action();
+    const { outline, box } = label;
+    saver.save(boxChange(label, headingTurned(box, quarters), { kind: null, item, words: "turned", outline }));
+    return true;
+  }
+
   function remove(/** @type {Item} */ item) {
     app.effort.action();
     removeItem(item);
@@ -327,6 +339,7 @@ export function createObjects(app, work, parts) {
     setViewBox,
     clearViewBox,
     pickClass,
+    turn,
     remove,
     onDropped,
     cycle,

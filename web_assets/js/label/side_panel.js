@@ -5,6 +5,7 @@ import { editClasses } from "../classes/classes.js";
 import { classColor } from "../colors.js";
 import { button, count, glyph, h, iconButton, patch } from "../dom.js";
 import { currentFrame } from "../frame_state.js";
+import { headingMark } from "../heading_mark.js";
 import { makeHash } from "../router.js";
 import { DRAGS, progressOf } from "./items.js";
 
@@ -96,7 +97,11 @@ export function createObjectList(
       const drawn = new Set(items.map(({ uid }) => uid).filter(Boolean));
       const others = state.labels.filter(({ uid, state: review }) => !drawn.has(uid) && review !== "rejected");
       total.textContent = items.length ? `${items.filter((item) => item.uid).length} of ${items.length} finished` : "";
-      const rows = items.map((item) => objectRow(app, item, item === current, isReadonly, { onOpen, onDelete }));
+      const rows = items.map((item) => {
+        const label = state.labels.find(({ uid }) => uid === item.uid);
+        const mark = label ? headingMark(label, state.up) : null;
+        return objectRow(app, item, mark, item === current, isReadonly, { onOpen, onDelete });
+      });
       rows.push(...others.map((label) => labelRow(app, label, onReview)));
       patch(list, rows.length ? rows : h("li", { class: "empty" }, "No objects in this frame yet."));
     },
@@ -110,6 +115,7 @@ export function createObjectList(
 function objectRow(
   /** @type {ModeApp} */ app,
   /** @type {Item} */ item,
+  /** @type {HTMLElement | null} */ mark,
   /** @type {boolean} */ isCurrent,
   /** @type {boolean} */ isReadonly,
   /** @type {Pick<RowActions, "onOpen" | "onDelete">} */ { onOpen, onDelete },
@@ -128,6 +134,7 @@ function objectRow(
     [
       swatch,
       h("span", { class: "grow ellipsis" }, label),
+      mark,
       dots,
       h("span", { class: item.uid ? "state-accepted" : "muted" }, text),
     ],
@@ -171,6 +178,7 @@ function labelRow(
       [
         swatch,
         h("span", { class: "grow ellipsis" }, label.label),
+        headingMark(label, currentFrame(app).up),
         h("span", { class: `state-${label.state}` }, label.state + score),
       ],
       () => onReview(label.uid),

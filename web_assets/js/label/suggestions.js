@@ -4,6 +4,7 @@
  */
 
 import { isAborted } from "../errors.js";
+import { boxChange } from "./changes.js";
 import { takeSteps } from "./draft.js";
 import { plainBox } from "./items.js";
 
@@ -82,17 +83,8 @@ export function createWholeBoxes(app, work, { saver, onOffered }) {
     if (!draft?.whole || !whole || !label || performance.now() - draft.whole.since < SEEN_MS) return false;
     app.effort.action();
     draft.whole = null;
-    const { uid, label: name, track_id } = label;
     const { box, outline } = whole;
-    saver.save({
-      path: ["changes"],
-      item: draft.item,
-      body: () => ({
-        subject: uid,
-        changes: [{ kind: "edit", uid, label: name, box, track_id, box_kind: "box" }],
-      }),
-      mine: () => ({ text: [`${name}: its whole box`], boxes: [], outlines: [outline] }),
-    });
+    saver.save(boxChange(label, box, { kind: "box", item: draft.item, words: "its whole box", outline }));
     onOffered();
     return true;
   }

@@ -3,7 +3,7 @@
 import { button, h, iconButton } from "../dom.js";
 
 /**
- * @typedef {Record<"accept" | "reject" | "remove" | "refit" | "flip" | "copy" | "follow" | "draw" | "finalise",
+ * @typedef {Record<"accept" | "reject" | "remove" | "refit" | "turn" | "copy" | "follow" | "draw" | "finalise",
  *     () => unknown> & { gizmo: (mode: Api.Gizmo) => void }} Act
  */
 
@@ -33,7 +33,8 @@ export function createActions(host, act) {
   const accept = action("accept", "Accept", "Space", "primary");
   const reject = action("reject", "Reject", "X");
   const refit = action("refit", "Fit again", "G");
-  const flip = action("flip", "Turn 90°", "F");
+  const turn = action("turn", "Turn", "F");
+  turn.title = "Turn the heading by 180° (F), or by 90° (Shift F)";
   const copy = action("copy", "Copy previous", "C");
   const follow = action("follow", "Follow", "V");
   const draw = action("draw", "New box", "B");
@@ -56,7 +57,7 @@ export function createActions(host, act) {
     remove,
     h("span", { class: "divider" }),
     refit,
-    flip,
+    turn,
     h("span", { class: "divider" }),
     gizmo,
     h("span", { class: "grow" }),
@@ -72,7 +73,7 @@ export function createActions(host, act) {
      *     isDrawing: boolean, isMoreOpen: boolean }} shown isMoreOpen: there are proposals, here or elsewhere.
      */
     show({ label, frame, gizmoMode, busy, isDrawing, isMoreOpen }) {
-      for (const one of [reject, refit, flip, remove]) one.disabled = !label || busy;
+      for (const one of [reject, refit, turn, remove]) one.disabled = !label || busy;
       const isReviewed = label?.state === "accepted" || label?.state === "edited";
       accept.disabled = busy || !(label || isMoreOpen);
       const [text, title] =

@@ -228,13 +228,15 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
   /** Draws a new box on the image, or stops that. */
   const draw = () => (image.isDrawing || !canDraw() ? image.draw(null) : image.drawUsual());
 
-  const flip = () => desk.shown && desk.edit({ box: headingTurned(desk.shown.box) });
+  /** Turns the selected box by so many quarters. */
+  const turn = (/** @type {number} */ quarters) =>
+    desk.shown && desk.edit({ box: headingTurned(desk.shown.box, quarters) });
 
   return {
     decide,
     acceptAll,
     refit,
-    flip,
+    turn,
     canDraw,
     draw,
     fitDrawn,

@@ -1,6 +1,7 @@
 /** How a 3D box is drawn on the image: its colour, its outline, its heading, and a text. */
 
 import { imageHeading, outline } from "../camera.js";
+import { jumpText } from "../heading_mark.js";
 
 /**
  * Colours by state: visible on dark and light pictures, and the same as in the 3D view.
@@ -34,7 +35,18 @@ function selectedTag(/** @type {PageLabel} */ label, /** @type {string} */ value
  */
 export function imageOverlay(camera, label, { selected, box, color = STATE_COLORS[label.state], values = "" }) {
   const segments = box ? outline(camera, box) : label.outline;
-  const tag = selected ? selectedTag(label, values) : shortName(label);
-  const heading = imageHeading(camera, box ?? label.box);
-  return { id: label.uid, segments, heading, color, dash: label.state === "rejected", strong: selected, tag };
+  const seen = box ?? label.box;
+  const jump = jumpText({ ...label, box: seen });
+  const tag = [selected ? selectedTag(label, values) : shortName(label), jump].filter(Boolean).join(" · ");
+  const heading = imageHeading(camera, seen);
+  return {
+    id: label.uid,
+    segments,
+    heading,
+    color,
+    dash: label.state === "rejected",
+    strong: selected,
+    tag,
+    wrong: jump !== "",
+  };
 }

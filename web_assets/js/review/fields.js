@@ -2,6 +2,7 @@
 
 import { MIN_SIZE_M, anglesDeg, copyBox, withAnglesDeg } from "../box3d.js";
 import { button, count, h, leaveField, patch } from "../dom.js";
+import { jumpText } from "../heading_mark.js";
 import { OWN } from "./queue.js";
 
 const CENTER = [
@@ -28,6 +29,8 @@ export function createFields(
 ) {
   /** @type {Record<string, HTMLInputElement>} */
   const inputs = {};
+  /** @type {Record<string, HTMLElement>} */
+  const names = {};
   /**
    * The field that is being typed in.
    *
@@ -83,7 +86,8 @@ export function createFields(
       },
     });
     inputs[name] = input;
-    return h("label", { class: "number-field" }, h("span", {}, label), input, h("span", { class: "unit" }, unit));
+    names[name] = h("span", {}, label);
+    return h("label", { class: "number-field" }, names[name], input, h("span", { class: "unit" }, unit));
   }
 
   // Typing changes the box on the screen; leaving the field or pressing Enter saves that as one edit.
@@ -237,6 +241,9 @@ export function createFields(
       put(`size-${name}`, label.box.size[i], 3);
     });
     for (const [name] of ANGLES) put(name, turn[name], 1);
+    const jump = jumpText(label);
+    names.yaw.textContent = jump || "yaw";
+    names.yaw.className = jump ? "bad" : "";
     if (![...choice.options].some(({ value }) => value === label.label))
       choice.append(h("option", { value: label.label }, label.label));
     choice.value = label.label;

@@ -7,6 +7,7 @@
 import {
   boxAxis,
   copyBox,
+  headingJump,
   sameBox,
   turnedInView,
   viewHeading,
@@ -210,6 +211,7 @@ function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
     heading: viewHeading(plane, box),
     color: color(),
     strong: true,
+    wrong: desk.shown !== null && headingJump(desk.shown) !== null,
   });
 
   function follow() {

@@ -117,6 +117,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     accept: () => commands.decide("accept"),
     reject: () => commands.decide("reject"),
     remove: () => commands.decide("delete"),
+    turn: () => commands.turn(2),
     gizmo: setGizmo,
     follow: () => commands.followOne("forward"),
   });
@@ -327,7 +328,8 @@ export function bindings({ commands, opening, tracks, sheet, scene, image, ortho
     reject: once(() => commands.decide("reject")),
     delete: once(() => commands.decide("delete")),
     refit: once(commands.refit),
-    flip: once(commands.flip),
+    turn: once(() => commands.turn(2)),
+    "turn-quarter": once(() => commands.turn(1)),
     class: (/** @type {KeyboardEvent} */ _, /** @type {string} */ key) => commands.setClass(key),
     attribute: (/** @type {KeyboardEvent} */ _, /** @type {string} */ key) => attributes.press(key),
     cancel: commands.cancel,

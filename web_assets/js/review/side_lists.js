@@ -3,6 +3,7 @@
 import { valuesText } from "../attributes.js";
 import { button, count, h, patch } from "../dom.js";
 import { isAborted } from "../errors.js";
+import { headingMark } from "../heading_mark.js";
 import { isOpen } from "./desk.js";
 import { shortName } from "./drawing.js";
 import { summary } from "./fields.js";
@@ -237,6 +238,7 @@ function boxRow(app, label, desk, picture) {
       [
         h("span", { class: `dot state-${label.state}`, "aria-hidden": "true" }),
         h("span", { class: "ellipsis grow" }, shortName(label)),
+        headingMark(desk.seen(label), app.state.frame?.up ?? null),
         h("span", { class: problem ? "bad" : `state-${label.state}` }, state),
         picture && label.state !== "rejected" ? h("img", { src: picture, alt: "", class: "small-views" }) : null,
       ],
