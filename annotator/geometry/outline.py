@@ -180,7 +180,8 @@ _ENDS = np.array(EDGES)
 
 
 def heading_px(camera: Camera, box: OrientedBox, head_px: float) -> Float64[np.ndarray, "k 2 2"]:
-    """The arrow of a box's heading on the image, on the ground (-z) face, from its middle through the front (+x), not clipped to it.
+    """The arrow of a box's heading on the image, not clipped to it: on the ground (-z) face, from its middle through
+    the front (+x).
 
     Returns:
         (3, 2, 2) pixels, both ends (u, v) of the shaft and of the head's two lines of length `head_px`; (0, 2, 2) if it

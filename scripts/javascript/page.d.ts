@@ -145,7 +145,7 @@ interface App {
   state: State;
   viewport: Viewport | null;
   given: Given | null;
-  toast: typeof import("../../web_assets/js/dialogs.js").toast;
+  toast: typeof import("../../web_assets/js/messages.js").toast;
   /** Goes to an address from router.makeHash; `given` is for the mode that the address names. */
   go(hash: string, given?: Given | null): void;
   /** The path of a resource of the open project: app.path("frames", 3). */

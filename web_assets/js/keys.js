@@ -41,6 +41,7 @@ export const KEYS = [
     ["next-box", ["Tab"], "Next box"],
     ["previous-box", ["Shift+Tab"], "Previous box"],
     ["class", ["1", "2", "3", "4", "5", "6", "7", "8", "9"], "Class", ["1", "…", "9"]],
+    ["class-search", ["/"], "Class, from all of them, with a search"],
     [
       "attribute",
       alt("0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"),

@@ -260,6 +260,8 @@ def test_keys_change_the_frame_finalise_it_and_list_themselves(bench: Bench) -> 
     assert answer.value.request.post_data_json["box_kind"] == "box"
     bench.saved()
     assert bench.state["image_boxes"]["box_kind"] == "box"
+    # the choice is the project's, for all operators
+    assert bench.live.client.get(bench.api).json()["settings"]["box_kind"] == "box"
 
     page.keyboard.press("?")
     table = page.get_by_test_id("key-table")

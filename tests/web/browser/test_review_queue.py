@@ -427,7 +427,7 @@ def test_stale_and_failed_edits_are_neither_lost_nor_forced(desk: Desk, wait_for
     for choice, decide in (("theirs", desk.project.labels.accept), ("mine", desk.project.labels.reject)):
         # a change that is not announced to the page
         decide(frame, uid, WriteContext(desk.project.frames.get(frame).revision, "Bob"))
-        desk.press("f")
+        desk.press("Shift+F")
         desk.page.get_by_test_id("stale-dialog").wait_for()
         assert desk.label.state in (ReviewState.ACCEPTED, ReviewState.REJECTED)
         desk.page.get_by_test_id(f"dialog-{choice}").click()
@@ -441,7 +441,7 @@ def test_stale_and_failed_edits_are_neither_lost_nor_forced(desk: Desk, wait_for
     # a box that could not be saved stays until it is saved or discarded, and the page asks before it leaves it
     page, here = desk.page, desk.page.url
     refuse(page, "changes")
-    desk.press("f")
+    desk.press("Shift+F")
     expect(page.get_by_test_id("not-saved")).to_contain_text("Not saved")
     assert page.evaluate("!dispatchEvent(new Event('beforeunload', { cancelable: true }))")
     for leave in (

@@ -2,13 +2,11 @@
 
 import { headingJump } from "../box3d.js";
 import { cameraOf, imageHeading } from "../camera.js";
-import { STATE_COLORS } from "../review/drawing.js";
+import { STATE_COLORS } from "../colors.js";
 import { filledBoxes } from "./draft.js";
 import { plainBox, secondAxes } from "./items.js";
 import { hintFor } from "./views_pane.js";
 import { openGuesses } from "./work.js";
-
-const PREVIEW_COLOR = "#ff5d8f";
 
 export const isFinished = (/** @type {Item} */ item) => Boolean(item.uid) && item.boxes.every(Boolean);
 
@@ -18,7 +16,7 @@ export const isFinished = (/** @type {Item} */ item) => Boolean(item.uid) && ite
  * @param {object} parts
  * @param {Editor} parts.image
  * @param {ViewsPane} parts.views
- * @param {ReturnType<Panel["createClassPicker"]>} parts.picker
+ * @param {ReturnType<typeof import("../classes/picker.js").createClassPicker>} parts.picker
  * @param {ReturnType<Panel["createKindSwitch"]>} parts.kinds
  * @param {ReturnType<Panel["createObjectList"]>} parts.list
  * @param {ReturnType<Panel["createFrameBar"]>} parts.bar
@@ -122,13 +120,13 @@ export function createDisplay(app, work, parts) {
       wrong: headingJump(label) !== null,
     }));
     if (draft?.outline && !isFinished(draft.item))
-      lines.push({ segments: draft.outline, color: PREVIEW_COLOR, dash: true, strong: true });
+      lines.push({ segments: draft.outline, color: STATE_COLORS.proposed, dash: true, strong: true });
     const offered = whole.offered();
     if (offered)
       lines.push({
         segments: offered.outline,
         heading: imageHeading(cameraOf(state.image), offered.box),
-        color: PREVIEW_COLOR,
+        color: STATE_COLORS.proposed,
         dash: true,
         strong: true,
         id: "whole",

@@ -11,26 +11,21 @@
  */
 
 import { createAttributes } from "../attributes.js";
+import { createClassPicker } from "../classes/picker.js";
 import { classColor } from "../colors.js";
 import { h, leaveField } from "../dom.js";
 import { createEditor } from "../editor2d/editor.js";
+import { showHints } from "../messages.js";
 import { finality, kindChange, valuesChange } from "./changes.js";
 import { createDisplay } from "./display.js";
 import { createAsk, createStepLoader } from "./draft.js";
 import { createFrames, createOrder, createPrefetch } from "./frames.js";
 import { createObjects } from "./objects.js";
 import { createSaveProblem, createSaver } from "./saver.js";
-import {
-  createClassPicker,
-  createFrameBar,
-  createKindSwitch,
-  createObjectList,
-  noFrames,
-  reviewHash,
-} from "./side_panel.js";
+import { createFrameBar, createKindSwitch, createObjectList, noFrames, reviewHash } from "./side_panel.js";
 import { createViewsPane } from "./views_pane.js";
 import { createSuggester, createWholeBoxes } from "./suggestions.js";
-import { createWork, keepKind, renameClasses } from "./work.js";
+import { createWork, renameClasses } from "./work.js";
 
 const POINT_LIMITS = [0.1, 10];
 const DRAG_WAIT_MS = 300;
@@ -59,7 +54,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
 
   // -- the page
 
-  const hint = h("p", { class: "hint grow", role: "status", "data-testid": "hint" });
+  const hint = h("span", { class: "ellipsis", role: "status", "data-testid": "hint" });
   const problem = createSaveProblem(app, saver, { onRelabel: relabel, onDiscard: () => frames.discard() });
   const imageHost = h("div", { class: "image", "data-testid": "image-editor" });
   const picker = createClassPicker(app, (name) => objects.pickClass(name));
@@ -98,7 +93,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     h(
       "section",
       { class: "panel image-panel", "aria-label": "Camera image" },
-      h("header", {}, picker.root, hint, problem.root),
+      h("header", {}, picker.root),
       imageHost,
       h("footer", {}, kinds.root),
     ),
@@ -107,12 +102,12 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       "div",
       { class: "aside" },
       h("section", { class: "panel view3d", "aria-label": "3D view" }, viewportHost),
-      list.root,
-      values,
+      h("div", { class: "objects-and-values" }, list.root, values),
       bar.root,
     ),
   );
   root.append(page);
+  showHints(hint, problem.root);
   const image = createEditor(imageHost, {
     label: "Camera image",
     color: ({ label }) => classColor(app.state.project, label),
@@ -163,6 +158,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       "next-box": () => objects.cycle(1),
       "previous-box": () => objects.cycle(-1),
       class: (_, digit) => pickClass(Number(digit)),
+      "class-search": () => void picker.ask(),
       attribute: (_, key) => attributes.press(key),
       turn: (event) => event.repeat || objects.turn(2),
       "turn-quarter": (event) => event.repeat || objects.turn(1),
@@ -210,7 +206,11 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   // -- commands
 
   function setKind(/** @type {Api.BoxKind} */ name) {
-    keepKind(name);
+    const { project } = app.state;
+    if (name !== project.settings.box_kind) {
+      app.state.set({ project: { ...project, settings: { ...project.settings, box_kind: name } } });
+      app.api.put(app.path("box-kind"), { box_kind: name }).catch(app.toast);
+    }
     const known = app.state.frame?.image_boxes;
     if (known?.boxes.length && known.box_kind !== name && !work.isReadonly) saver.save(kindChange(name));
     void objects.askAgain();

@@ -1,7 +1,6 @@
 /** Beside the image: the class to draw, what boxes enclose, the frame's objects, and the buttons to other frames. */
 
 import { valuesText } from "../attributes.js";
-import { editClasses } from "../classes/classes.js";
 import { classColor } from "../colors.js";
 import { button, count, glyph, h, iconButton, patch } from "../dom.js";
 import { currentFrame } from "../frame_state.js";
@@ -22,38 +21,11 @@ const KINDS = [
   ["box", "Whole object", "Boxes enclose the whole object, hidden parts included."],
 ];
 
-/** Buttons for the classes; the digit keys do the same. The last button changes the classes. */
-export function createClassPicker(/** @type {ModeApp} */ app, /** @type {(name: string) => void} */ onPick) {
-  const project = app.state.route.project;
-  const root = h("div", { class: "classes", role: "radiogroup", "aria-label": "Class" });
-  return {
-    root,
-    show(/** @type {string} */ current) {
-      patch(
-        root,
-        app.state.project.classes.map((label, index) => {
-          const swatch = h("span", { class: "swatch" });
-          swatch.style.background = classColor(app.state.project, label);
-          const digit = index < 9 ? h("kbd", {}, String(index + 1)) : null;
-          return button([swatch, label, digit], () => onPick(label), {
-            role: "radio",
-            "aria-checked": String(label === current),
-            "data-testid": `class-${label}`,
-          });
-        }),
-        iconButton("edit", "Change the classes and attributes", () => editClasses(app, project), {
-          "data-testid": "edit-classes",
-        }),
-      );
-    },
-  };
-}
-
 /** The choice of what boxes on the image and on views enclose, which the detectors learn, too. */
 export function createKindSwitch(/** @type {(kind: Api.BoxKind) => void} */ onKind) {
   const help = h("span", { class: "help grow" });
   const buttons = KINDS.map(([kind, text]) =>
-    button(text, () => onKind(kind), { role: "radio", "data-testid": `kind-${kind}` }),
+    button(text, () => onKind(kind), { role: "radio", "aria-checked": "false", "data-testid": `kind-${kind}` }),
   );
   return {
     root: h(
@@ -99,7 +71,7 @@ export function createObjectList(
       total.textContent = items.length ? `${items.filter((item) => item.uid).length} of ${items.length} finished` : "";
       const rows = items.map((item) => {
         const label = state.labels.find(({ uid }) => uid === item.uid);
-        const mark = label ? headingMark(label, state.up) : null;
+        const mark = label ? headingMark(label, state.up) : h("span", { class: "heading-mark" });
         return objectRow(app, item, mark, item === current, isReadonly, { onOpen, onDelete });
       });
       rows.push(...others.map((label) => labelRow(app, label, onReview)));
@@ -115,7 +87,7 @@ export function createObjectList(
 function objectRow(
   /** @type {ModeApp} */ app,
   /** @type {Item} */ item,
-  /** @type {HTMLElement | null} */ mark,
+  /** @type {HTMLElement} */ mark,
   /** @type {boolean} */ isCurrent,
   /** @type {boolean} */ isReadonly,
   /** @type {Pick<RowActions, "onOpen" | "onDelete">} */ { onOpen, onDelete },

@@ -82,12 +82,11 @@ export function createViewsPane(app, { onBox, onClear, onAcceptAll, newLabel }) 
     const views = draft?.steps.flatMap((step) => step.views) ?? [];
     const canAccept = draft && !draft.isLoading && draft.suggestions.some(Boolean);
     accept.hidden = !(canAccept && filledBoxes(draft).every(Boolean));
-    source.textContent = sourceOf(draft);
+    source.textContent = source.title = sourceOf(draft);
     pairs.forEach((pair, step) => {
       const text = viewsMessage(draft, step);
       messages[step].textContent = text ?? "";
       pair.classList.toggle("has-views", text === null);
-      pair.hidden = text === "";
     });
     panes.forEach((pane, index) => {
       const { editor, caption, name } = pane;

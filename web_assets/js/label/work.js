@@ -2,7 +2,6 @@
 
 import { makeItem, naming, overlap, relabelItem } from "./items.js";
 
-const KIND_KEPT = "box-kind";
 /** IoU above which a detected box and a drawn one are the same object. */
 const SAME_OBJECT = 0.4;
 
@@ -30,10 +29,9 @@ export function createWork(/** @type {ModeApp} */ app) {
     get isReadonly() {
       return Boolean(app.state.frame?.frame.finalised);
     },
-    /** The frame's kind of boxes, or the one that was used last. */
+    /** The kind of the frame's boxes, or that of the project. */
     get kind() {
-      const kept = localStorage.getItem(KIND_KEPT) === "box" ? "box" : "silhouette";
-      return app.state.frame?.image_boxes?.box_kind ?? kept;
+      return app.state.frame?.image_boxes?.box_kind ?? app.state.project.settings.box_kind;
     },
   };
 }
@@ -50,10 +48,6 @@ export function renameClasses(work, renamed) {
   work.detections = work.detections.map(named);
   for (const item of new Set([...work.items, ...work.notSaved])) relabelItem(item, named);
   if (work.draft) work.draft.suggestions = work.draft.suggestions.map(named);
-}
-
-export function keepKind(/** @type {Api.BoxKind} */ kind) {
-  localStorage.setItem(KIND_KEPT, kind);
 }
 
 /**

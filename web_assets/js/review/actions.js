@@ -21,16 +21,17 @@ const GIZMOS = [
 export function createActions(host, act) {
   const action = (
     /** @type {Exclude<keyof Act, "gizmo" | "remove">} */ id,
-    /** @type {string} */ text,
+    /** @type {string | HTMLElement} */ text,
     /** @type {string} */ key,
     /** @type {string} */ kind = "",
   ) =>
     button([text, h("kbd", {}, key)], () => act[id](), {
       class: kind,
-      title: `${text} (${key})`,
+      title: `${typeof text === "string" ? text : text.textContent} (${key})`,
       "data-testid": `act-${id}`,
     });
-  const accept = action("accept", "Accept", "Space", "primary");
+  const word = h("span", {}, "Accept");
+  const accept = action("accept", word, "Space", "primary");
   const reject = action("reject", "Reject", "X");
   const refit = action("refit", "Fit again", "G");
   const turn = action("turn", "Turn", "F");
@@ -80,7 +81,7 @@ export function createActions(host, act) {
         isReviewed || !label
           ? ["Next", "Next open box of this frame, or of the queue (Space)"]
           : ["Accept", "Accept (Space)"];
-      if (accept.firstChild) accept.firstChild.textContent = text;
+      word.textContent = text;
       accept.title = title;
       copy.disabled = !frame || frame.frame.previous === null || busy || frame.frame.finalised;
       follow.disabled = !frame || frame.frame.next === null || !(isReviewed || label?.isNew) || busy;

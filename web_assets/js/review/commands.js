@@ -212,8 +212,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
       app.toast(frame.finalised ? "The frame is reopened." : "The frame is finalised.", "good");
   }
 
-  function setClass(/** @type {string} */ key) {
-    const name = app.state.project.classes[Number(key) - 1];
+  function setClass(/** @type {string | null | undefined} */ name) {
     if (!name || image.setClass(name)) return;
     if (desk.shown && desk.shown.label !== name) void desk.edit({ label: name });
   }

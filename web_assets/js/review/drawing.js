@@ -1,14 +1,8 @@
 /** How a 3D box is drawn on the image: its colour, its outline, its heading, and a text. */
 
 import { imageHeading, outline } from "../camera.js";
+import { STATE_COLORS } from "../colors.js";
 import { jumpText } from "../heading_mark.js";
-
-/**
- * Colours by state: visible on dark and light pictures, and the same as in the 3D view.
- *
- * @type {Record<Api.ReviewState, string>}
- */
-export const STATE_COLORS = { proposed: "#f0ad4e", accepted: "#5fca85", edited: "#6aaef5", rejected: "#9aa1ad" };
 
 /** Characters of the values at a box on the image. */
 const MOST_VALUES = 40;

@@ -18,14 +18,10 @@ export function createImagePanel(
   /** @type {HTMLElement} */ host,
   /** @type {ModeApp} */ app,
   /** @type {Desk} */ desk,
-  /** @type {{ onDrawn: (box: Box2D) => Promise<void>, onMode: () => void, canDraw: () => boolean }} */ {
-    onDrawn,
-    onMode,
-    canDraw,
-  },
+  /** @type {{ hint: HTMLElement, onDrawn: (box: Box2D) => Promise<void>, onMode: () => void,
+   *     canDraw: () => boolean }} */ { hint, onDrawn, onMode, canDraw },
 ) {
   const title = h("h2", { class: "ellipsis" }, "Image");
-  const note = h("span", { class: "muted ellipsis", role: "status", "data-testid": "image-note" });
   const withRejected = h("input", { type: "checkbox", onchange: show, "data-testid": "show-rejected" });
   const byTrack = h("input", { type: "checkbox", onchange: colorAnew, "data-testid": "color-by-track" });
   byTrack.checked = localStorage.getItem("color-by-track") === "true";
@@ -35,7 +31,6 @@ export function createImagePanel(
       "header",
       {},
       title,
-      note,
       h("span", { class: "grow" }),
       h("label", { class: "row", title: "Colour boxes by track, not by state" }, byTrack, "tracks"),
       h("label", { class: "row" }, withRejected, "rejected"),
@@ -85,13 +80,13 @@ export function createImagePanel(
     if (!frame) {
       void editor.setPicture(null);
       editor.setOverlays([]);
-      note.textContent = "";
+      hint.textContent = "";
       return;
     }
     const { url, width, height } = frame.image;
     const camera = cameraOf(frame.image);
     void editor.setPicture(url, width, height);
-    note.textContent = noteOf(frame);
+    hint.textContent = noteOf(frame);
     const selected = desk.shown;
     const others = desk
       .labels()

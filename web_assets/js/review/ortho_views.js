@@ -15,11 +15,11 @@ import {
   viewRect,
   withViewRect,
 } from "../box3d.js";
+import { STATE_COLORS } from "../colors.js";
 import { h } from "../dom.js";
 import { createEditor } from "../editor2d/editor.js";
 import { isAborted, messageOf } from "../errors.js";
 import { dot } from "../rotation.js";
-import { STATE_COLORS } from "./drawing.js";
 
 export const SIZE_PX = 320;
 const TITLES = { top: "Top", front: "Front", side: "Right side" };

@@ -7,8 +7,10 @@
  */
 
 import { createAttributes } from "../attributes.js";
+import { askClass } from "../classes/picker.js";
 import { h } from "../dom.js";
 import { createFrameProblem } from "../frame_problem.js";
+import { showHints } from "../messages.js";
 import { makeHash } from "../router.js";
 import { createActions } from "./actions.js";
 import { createCommands } from "./commands.js";
@@ -37,6 +39,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   }
   const parts = layout(project);
   root.append(parts.root);
+  showHints(parts.hint, parts.done, parts.saving);
   const desk = createDesk(app);
   const queue = createQueue(app, showQueue);
   const opening = createOpening(app, {
@@ -65,7 +68,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     open: goInQueue,
     isFollowed: (track) => follow.isFollowed(track),
   });
-  const tracks = createTracks(parts.boxes, app, desk, {
+  const tracks = createTracks(parts.track, app, desk, {
     open: go,
     sheet: () => commands.whenCalm(sheet.show),
     async onCarried() {
@@ -74,7 +77,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       sheet.again();
     },
   });
-  const follow = createFollow(parts.boxes, app, desk, {
+  const follow = createFollow(parts.track, app, desk, {
     open: go,
     onFirst(target) {
       if (sheet.again()) return;
@@ -85,6 +88,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     onProgress: () => tracks.refresh(),
   });
   const image = createImagePanel(parts.image, app, desk, {
+    hint: parts.hint,
     onDrawn: (box) => commands.fitDrawn(box),
     onMode: () => showActions(),
     canDraw: () => commands.canDraw(),
@@ -205,7 +209,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       queue.reloadSoon();
       desk.refresh().catch(app.toast);
     }),
-    app.keys.register(bindings({ commands, opening, tracks, sheet, scene, image, ortho, setGizmo, attributes })),
+    app.keys.register(bindings({ app, commands, opening, tracks, sheet, scene, image, ortho, setGizmo, attributes })),
   ];
 
   /** Selects the label that an undo or redo has changed. */
@@ -263,15 +267,19 @@ export function layout(/** @type {string} */ project) {
   const part = (/** @type {string} */ name, /** @type {string} */ label) =>
     h("section", { class: `panel ${name}`, "aria-label": label });
   const queue = part("queue", "Queue");
-  const boxes = part("frame-boxes", "Boxes of this frame");
+  const boxes = h("div", { class: "panel of-frame" });
+  const track = h("div", { class: "of-track" });
+  const ofFrame = part("frame-boxes", "Boxes of this frame");
+  ofFrame.append(boxes, track);
   const imagePanel = part("image", "Camera image");
   const scene = part("scene", "3D view");
   const ortho = h("div", { class: "orthos", "data-testid": "orthos" });
   const fields = part("fields", "Selected box");
   const actions = h("div", { class: "actions", role: "toolbar", "aria-label": "Actions" });
   const saving = h("span", { class: "muted", role: "status", "data-testid": "saving" });
+  const hint = h("span", { class: "ellipsis", role: "status", "data-testid": "image-note" });
   const done = h(
-    "div",
+    "span",
     { class: "done-note", hidden: true, role: "status", "data-testid": "review-done" },
     "No proposals left to review. ",
     h("a", { href: makeHash(project, "train") }, "Propose more"),
@@ -282,12 +290,12 @@ export function layout(/** @type {string} */ project) {
   const root = h(
     "div",
     { class: "review" },
-    h("div", { class: "side" }, queue, boxes),
+    h("div", { class: "side" }, queue, ofFrame),
     h("div", { class: "pictures" }, imagePanel, scene),
-    h("div", { class: "bar" }, actions, done, saving),
+    actions,
     h("div", { class: "details" }, ortho, fields),
   );
-  return { root, queue, boxes, image: imagePanel, scene, ortho, fields, actions, saving, done };
+  return { root, hint, queue, boxes, track, image: imagePanel, scene, ortho, fields, actions, saving, done };
 }
 
 /** Shown in place of the panels if the project has no frame. */
@@ -305,6 +313,7 @@ export function emptyProject() {
 
 /**
  * @param {object} parts
+ * @param {ModeApp} parts.app
  * @param {ReturnType<typeof import("./commands.js").createCommands>} parts.commands
  * @param {Opening} parts.opening
  * @param {ReturnType<typeof import("./tracks.js").createTracks>} parts.tracks
@@ -315,7 +324,8 @@ export function emptyProject() {
  * @param {(mode: Api.Gizmo) => void} parts.setGizmo
  * @param {ReturnType<typeof import("../attributes.js").createAttributes>} parts.attributes
  */
-export function bindings({ commands, opening, tracks, sheet, scene, image, ortho, setGizmo, attributes }) {
+export function bindings({ app, commands, opening, tracks, sheet, scene, image, ortho, setGizmo, attributes }) {
+  const classAt = (/** @type {number} */ index) => app.state.project.classes[index];
   // a key that is held down acts on one box only, not on the following ones
   const once =
     (/** @type {(key: string) => unknown} */ fn) =>
@@ -330,7 +340,8 @@ export function bindings({ commands, opening, tracks, sheet, scene, image, ortho
     refit: once(commands.refit),
     turn: once(() => commands.turn(2)),
     "turn-quarter": once(() => commands.turn(1)),
-    class: (/** @type {KeyboardEvent} */ _, /** @type {string} */ key) => commands.setClass(key),
+    class: (/** @type {KeyboardEvent} */ _, /** @type {string} */ key) => commands.setClass(classAt(Number(key) - 1)),
+    "class-search": once(async () => commands.setClass(await askClass(app))),
     attribute: (/** @type {KeyboardEvent} */ _, /** @type {string} */ key) => attributes.press(key),
     cancel: commands.cancel,
     finalise: once(commands.finalise),

@@ -10,14 +10,14 @@ import { summary } from "./fields.js";
 import { ORDERS, OWN } from "./queue.js";
 import { createValueFilter, refill } from "./value_filter.js";
 
-/** Rows of the queue that are shown around the current one. */
-const ROWS = 120;
+/** Rows of the queue that are shown around the current one; others come and go in such numbers. */
+const [ROWS, STEP] = [120, 60];
 
 export function createQueueList(
   /** @type {HTMLElement} */ host,
   /** @type {ModeApp} */ app,
   /** @type {Queue} */ queue,
-  /** @type {{ open: (target: Target) => unknown }} */ { open },
+  /** @type {{ open: (target: Target) => unknown }} */ { open: go },
 ) {
   /** @type {HTMLSelectElement} */
   const order = h(
@@ -46,6 +46,12 @@ export function createQueueList(
   const list = h("ol", { class: "rows", "data-testid": "queue" });
   /** @type {string | null} */
   let current = null;
+  /**
+   * The rows as they stand: what is reviewed keeps its place and what is new comes last, so that nothing moves.
+   *
+   * @type {QueueItem[]}
+   */
+  let standing = [];
   fill();
   order.value = queue.order;
   host.replaceChildren(
@@ -70,7 +76,8 @@ export function createQueueList(
   ) {
     // so that Space and the digits are keys of the mode again
     select?.blur();
-    queue.choose(changes).then(() => queue.items[0] && open(queue.items[0]), app.toast);
+    standing = [];
+    queue.choose(changes).then(() => queue.items[0] && go(queue.items[0]), app.toast);
   }
 
   /** Offers the sources of the proposals, once there are any but annotator itself. */
@@ -106,15 +113,16 @@ export function createQueueList(
     show(/** @type {string | null} */ uid) {
       showSources();
       left.textContent = count(queue.remaining, "proposal");
-      const at = Math.max(
-        0,
-        queue.items.findIndex((item) => item.uid === uid),
-      );
-      const from = Math.max(0, Math.min(at - ROWS / 2, queue.items.length - ROWS));
+      const open = new Set(queue.items.map((item) => item.uid));
+      const known = new Set(standing.map((item) => item.uid));
+      const fresh = queue.items.filter((item) => !known.has(item.uid));
+      standing = standing.some((item) => open.has(item.uid)) ? [...standing, ...fresh] : queue.items;
+      const at = standing.findIndex((item) => item.uid === uid);
+      const from = Math.max(0, STEP * Math.floor((at - STEP / 2) / STEP));
       const recordings = new Map((app.state.project?.recordings ?? []).map(({ id, name }) => [id, name]));
-      const rows = queue.items
+      const rows = standing
         .slice(from, from + ROWS)
-        .map((item) => queueRow(item, recordings, item.uid === uid, open));
+        .map((item) => queueRow(item, recordings, { isCurrent: item.uid === uid, isDone: !open.has(item.uid) }, go));
       patch(list, rows.length > 0 ? rows : h("li", { class: "muted pad" }, ...nothing()));
       // not again, so that an operator who looks elsewhere in the list is left there
       if (uid !== current) list.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
@@ -126,7 +134,7 @@ export function createQueueList(
 function queueRow(
   /** @type {QueueItem} */ item,
   /** @type {Map<number, string>} */ recordings,
-  /** @type {boolean} */ isCurrent,
+  /** @type {{ isCurrent: boolean, isDone: boolean }} */ { isCurrent, isDone },
   /** @type {(target: Target) => unknown} */ open,
 ) {
   const isOurs = item.sources.every((name) => name === OWN);
@@ -143,10 +151,10 @@ function queueRow(
       ],
       () => open(item),
       {
-        class: "quiet row-button",
+        class: isDone ? "quiet row-button done" : "quiet row-button",
         "aria-current": isCurrent ? "true" : null,
-        title: `${item.label}, frame ${place}${isOurs ? "" : `, seen by ${item.sources.join(", ")}`}`,
-        "data-testid": "queue-item",
+        title: `${isDone ? "reviewed: " : ""}${item.label}, frame ${place}${isOurs ? "" : `, seen by ${item.sources.join(", ")}`}`,
+        "data-testid": isDone ? "queue-done" : "queue-item",
         "data-uid": item.uid,
       },
     ),
@@ -175,17 +183,26 @@ function doubtBar(/** @type {number | null} */ doubt) {
  */
 export function createBoxList(/** @type {HTMLElement} */ host, /** @type {ModeApp} */ app, /** @type {Desk} */ desk) {
   const title = h("h2", {}, "In this frame");
-  const note = h("p", { class: "muted pad", "data-testid": "frame-summary" });
+  const note = h("p", { class: "muted pad ellipsis", "data-testid": "frame-summary" });
   const list = h("ul", { class: "rows", "data-testid": "frame-boxes" });
   /** @type {Map<string, string>} */
   let pictures = new Map();
   let known = "";
+  /**
+   * The frame whose rows have pictures.
+   *
+   * @type {number | null}
+   */
+  let pictured = null;
   let request = new AbortController();
   host.replaceChildren(h("header", {}, title), note, list);
 
   function draw() {
     const labels = desk.labels();
-    const hasPictures = labels.filter(isOpen).length > 1;
+    // once there, their places stay until another frame is shown
+    const frame = app.state.frame?.frame.id ?? null;
+    if (labels.filter((label) => isOpen(label) && !label.isNew).length > 1) pictured = frame;
+    const hasPictures = pictured === frame;
     patch(
       list,
       labels.map((label) => boxRow(app, label, desk, hasPictures ? (pictures.get(label.uid) ?? "") : null)),
@@ -214,7 +231,7 @@ export function createBoxList(/** @type {HTMLElement} */ host, /** @type {ModeAp
 
   return {
     show() {
-      note.textContent = summary(desk.labels());
+      note.textContent = note.title = summary(desk.labels());
       draw();
       void readPictures();
     },
@@ -240,7 +257,8 @@ function boxRow(app, label, desk, picture) {
         h("span", { class: "ellipsis grow" }, shortName(label)),
         headingMark(desk.seen(label), app.state.frame?.up ?? null),
         h("span", { class: problem ? "bad" : `state-${label.state}` }, state),
-        picture && label.state !== "rejected" ? h("img", { src: picture, alt: "", class: "small-views" }) : null,
+        picture !== null &&
+          (picture ? h("img", { src: picture, alt: "", class: "small-views" }) : h("span", { class: "small-views" })),
       ],
       () => desk.select(label.uid),
       {
