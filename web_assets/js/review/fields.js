@@ -276,7 +276,7 @@ function describe(/** @type {PageLabel} */ label) {
     ["Last step", percent(quality?.last_change), "how much the last step changed the box"],
   ];
   const facts = rows.map(([name, value, help]) =>
-    h("div", { title: `${name}: ${help}` }, h("dt", {}, name), h("dd", { class: "number ellipsis" }, value)),
+    h("div", { title: `${name}: ${value}, ${help}` }, h("dt", {}, name), h("dd", { class: "number ellipsis" }, value)),
   );
   const wide = [];
   if (measured) wide.push(["Measured by", measured]);
