@@ -47,6 +47,11 @@ def box_corners(box: OrientedBox) -> Float64[np.ndarray, "8 3"]:
     return corners(box.center_m, box.rotation, box.size_m)
 
 
+def turn_of_heading(box: OrientedBox, other: OrientedBox) -> float:
+    """The angle between the headings (+x) of two boxes, radians, 0 to pi. As in web_assets/js/box3d.js."""
+    return float(np.arccos(np.clip(box.rotation[:, 0] @ other.rotation[:, 0], -1.0, 1.0)))
+
+
 def contains(box: OrientedBox, xyz_m: Float[np.ndarray, "n 3"], margin_m: float = 0.0) -> Bool[np.ndarray, "n"]:
     """Which points (camera frame) lie in a box with all faces moved outwards by `margin_m` metres, or on its surface.
 

@@ -180,14 +180,16 @@ _ENDS = np.array(EDGES)
 
 
 def heading_px(camera: Camera, box: OrientedBox, head_px: float) -> Float64[np.ndarray, "k 2 2"]:
-    """The arrow of a box's heading on the image, from its centre through its front (+x) face, not clipped to it.
+    """The arrow of a box's heading on the image, not clipped to it: on the ground (-z) face, from its middle through
+    the front (+x).
 
     Returns:
         (3, 2, 2) pixels, both ends (u, v) of the shaft and of the head's two lines of length `head_px`; (0, 2, 2) if it
         reaches behind the camera or far from the image.
     """
     reach_m = 0.5 * box.size_m[0] + ARROW_BEYOND * box.size_m.mean()
-    shaft = project(camera, np.stack([box.center_m, box.center_m + reach_m * box.rotation[:, 0]]))
+    foot_m = box.center_m - 0.5 * box.size_m[2] * box.rotation[:, 2]
+    shaft = project(camera, np.stack([foot_m, foot_m + reach_m * box.rotation[:, 0]]))
     if not (np.abs(shaft) < FARTHEST_SIZES * max(camera.width_px, camera.height_px)).all():
         return np.zeros((0, 2, 2))
     tip = shaft[1]

@@ -9,7 +9,7 @@ from annotator.project.changes import NewLabel, Origin
 from annotator.project.config import BoxRotation, ProjectConfig, ProjectSettings
 from annotator.project.frames import StoredFrame
 from annotator.project.jobs import Status
-from annotator.project.labels import REVIEWED, StoredLabel
+from annotator.project.labels import MOST_BESIDE, REVIEWED, StoredLabel
 from annotator.project.log import FramePart, new_action
 from annotator.project.models import StoredModel
 from annotator.project.project import ListedProject, Project, create_project, list_projects, open_project

@@ -19,6 +19,7 @@ from annotator.project.classes.attributes import Attribute, ClassStyle
 from annotator.project.database.migrations import UNRELEASED
 from annotator.project.rows import Terms
 from annotator.text import is_within
+from annotator.types import BoxKind
 from annotator.types.bases import Strict
 from annotator.types.errors import RESTORE, ConfigError, InUseError, ProjectError
 from annotator.types.messages import first_problem
@@ -82,6 +83,7 @@ class ProjectSettings(Strict):
     """Defaults for options that are not given on the command line.
 
     Attributes:
+        box_kind: what the 2D boxes enclose that people draw in Label.
         rcv: settings of the recursion that differ from the defaults. They are validated when
             the recursion is run (`annotator.workflows.settings`), not here.
         learn_every: while the page is open, a round of training in the background after so many more reviewed boxes;
@@ -91,6 +93,7 @@ class ProjectSettings(Strict):
     """
 
     rotation: BoxRotation = BoxRotation.AUTO
+    box_kind: BoxKind = BoxKind.SILHOUETTE
     rcv: dict[str, JsonValue] = Field(default_factory=dict)
     learn_every: int | None = Field(None, ge=1)
     backup_hours: float | None = Field(4.0, gt=0.0)

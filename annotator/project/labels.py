@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
-from sqlalchemy import Connection, Select, bindparam, func, select
+from sqlalchemy import Connection, Select, bindparam, case, func, select
 
 from annotator.project.audit.writing import Receipt, WriteContext
 from annotator.project.changes import (
@@ -20,7 +20,8 @@ from annotator.project.changes import (
 )
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.classes.values import is_kept, labels_of_tracks
-from annotator.project.database.schema import ALL_LABELS, LABELS_OF_MOMENT, AnyRow, frames, labels
+from annotator.project.database.schema import ALL_LABELS, LABELS_OF_MOMENT, MOMENT, AnyRow, frames, labels
+from annotator.project.frames import StoredFrame
 from annotator.project.log import Writer, new_action
 from annotator.project.recordings import of_rig
 from annotator.project.records import OWN, BoxRecord, SaidRecord, storable, suggestion_of
@@ -30,6 +31,8 @@ from annotator.types.errors import NotFoundError
 from annotator.types.label import AttributeValue
 
 REVIEWED = (ReviewState.ACCEPTED, ReviewState.EDITED)
+# Frames between two boxes of a track that are compared; farther apart, an object may have turned.
+MOST_BESIDE = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +133,17 @@ class Labels:
         with self.writer.store.read() as connection:
             rows = connection.execute(query.order_by(frames.c.position.nulls_last(), frames.c.id, labels.c.id)).all()
             return stored_labels(connection, rows, [row.seen_from for row in rows])
+
+    def beside(self, frame: StoredFrame) -> dict[int | None, OrientedBox]:
+        """The box of each of a frame's tracks in the nearest frame before it, or else after it, by the track's id.
+
+        Rejected boxes do not count, nor do those more than `MOST_BESIDE` frames away.
+        """
+        where = {"frame": frame.id, "recording": frame.recording_id, "position": frame.index, "most": MOST_BESIDE}
+        with self.writer.store.read() as connection:
+            rows = connection.execute(_BESIDE, where).all()
+            terms = Terms(connection)
+            return {row.track_id: terms.box(row.box, row.seen_from) for row in rows}
 
     def next_track_id(self, recording_id: int) -> int:
         """1 + the highest track id of a recording's rig, at least 1."""
@@ -254,6 +268,25 @@ _BEHIND = (
     select(ALL_LABELS)
     .where(ALL_LABELS.c.behind.is_not(None), ALL_LABELS.c.behind.in_(select(_SHOWN.c.value)))
     .order_by(ALL_LABELS.c.id)
+)
+# SQLite gives the other columns of the row with the minimum: frames before this one first, then the nearest
+_PLACE = frames.c.position - bindparam("position")
+_BESIDE = (
+    select(
+        labels.c.track_id,
+        labels.c.box,
+        frames.c.id.label("seen_from"),
+        func.min(case((_PLACE < 0, -_PLACE), else_=_PLACE + bindparam("most"))),
+    )
+    .join(frames, frames.c.moment_id == labels.c.moment_id)
+    .where(
+        frames.c.recording_id == bindparam("recording"),
+        _PLACE.between(-bindparam("most"), bindparam("most")),
+        frames.c.id != bindparam("frame"),
+        labels.c.state != ReviewState.REJECTED.value,
+        labels.c.track_id.in_(select(labels.c.track_id).where(labels.c.moment_id == MOMENT)),
+    )
+    .group_by(labels.c.track_id)
 )
 _VALUES_SET = LABELS_OF_MOMENT.where(labels.c.values_set.is_(True))
 

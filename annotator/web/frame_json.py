@@ -17,7 +17,7 @@ from pydantic import BaseModel
 from annotator.project import Project, ViewBoxes
 from annotator.project.overview import FramePage, read_page
 from annotator.project.records import ViewGeometry
-from annotator.types import PseudoView
+from annotator.types import OrientedBox, PseudoView
 from annotator.types.errors import StaleRevisionError
 from annotator.web.context import Ctx, InProject, Operator
 from annotator.web.errors import AnsweredError, ErrorBody
@@ -166,6 +166,8 @@ def _labels(project: Project, page: FramePage, opened: OpenFrame) -> list[LabelJ
     # most frames have none, and need no query
     may_be_kept = next((stored.frame_id for stored in page.labels if stored.label.attributes), None)
     kept = frozenset[str]() if may_be_kept is None else project.labels.kept(may_be_kept)
+    is_tracked = any(stored.label.track_id is not None for stored in page.labels)
+    beside = project.labels.beside(page.frame) if is_tracked and page.frame.index is not None else {}
     return [
         LabelJson.of(
             stored.label,
@@ -176,11 +178,16 @@ def _labels(project: Project, page: FramePage, opened: OpenFrame) -> list[LabelJ
             said=[SaidJson.of(said) for said in stored.said],
             attributes=dict(stored.label.attributes),
             kept=stored.label.uid in kept,
+            heading_beside=_heading(beside.get(stored.label.track_id)),
             outline=outline.round(2).tolist(),
             points=opened.points_in(stored.label.box),
         )
         for stored, outline in seen_labels(page, opened)
     ]
+
+
+def _heading(box: OrientedBox | None) -> list[float] | None:
+    return None if box is None else box.rotation[:, 0].tolist()
 
 
 def _object(name: str, project: Project, drawn: ShownObject) -> ObjectJson:

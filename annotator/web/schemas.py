@@ -186,7 +186,8 @@ class LabelJson(LabelValues):
     """A 3D label with its outline on the image, its number of points and its doubt.
 
     `measured_by` names the base detector if it measured the proposal; `box_kind` is what the box encloses; `kept`: a
-    proposal that passes of the detectors do not replace, because a person has set values of it.
+    proposal that passes of the detectors do not replace, because a person has set values of it; `heading_beside`: the
+    heading of the box before it in its track, or else after it, as a unit vector.
     """
 
     uid: str
@@ -202,6 +203,7 @@ class LabelJson(LabelValues):
     box_kind: BoxKind
     attributes: dict[str, Value]
     kept: bool
+    heading_beside: list[float] | None
     outline: Outline
     points: int
 

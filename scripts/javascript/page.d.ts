@@ -141,7 +141,7 @@ interface App {
   keys: Keys;
   state: State;
   viewport: Viewport | null;
-  toast: typeof import("../../web_assets/js/dialogs.js").toast;
+  toast: typeof import("../../web_assets/js/messages.js").toast;
   /** Goes to an address from router.makeHash. */
   go(hash: string): void;
   /** The path of a resource of the open project: app.path("frames", 3). */
@@ -208,7 +208,7 @@ type EditorBox = Box2D & {
 /** An arrow in px of a picture; `sight`: cosine of the angle between it and the line of sight. */
 type Arrow = { from: Point; to: Point; sight: number };
 
-/** Lines over the picture. One with an `id` can be clicked; `tag` is a short text at its top corner. */
+/** Lines over the picture. One with an `id` can be clicked; `tag` is a short text at its top corner; `wrong`: its heading. */
 type Overlay = {
   id?: string;
   segments: Line[];
@@ -217,6 +217,7 @@ type Overlay = {
   dash?: boolean;
   strong?: boolean;
   tag?: string;
+  wrong?: boolean;
 };
 
 /** `sight`: the line of sight, px of the picture for each metre, along which the box can be moved. */

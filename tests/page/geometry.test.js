@@ -132,23 +132,39 @@ test("the heading on the image agrees with the package and ends at the border", 
     const isInside = tip[0] >= -0.5 && tip[0] <= 639.5 && tip[1] >= -0.5 && tip[1] <= 479.5;
     if (isInside) assertClose(arrow.to, tip, 1e-6);
   }
-  const right = { center: [2.4, 0, 4], size: [2, 1, 1], rotation: IDENTITY };
+  const right = { center: [2.4, 0, 4], size: [2, 1, 1e-9], rotation: IDENTITY };
   const arrow = camera.imageHeading(PLAIN.camera, right);
   assertClose(arrow.to, [639.5, 240.5], 1e-6);
   assertClose(arrow.sight, 2.4 / Math.hypot(2.4, 4));
   assert.equal(camera.imageHeading(PLAIN.camera, { ...right, center: [8, 0, 4] }), null);
 });
 
+test("a heading that has turned by more than 120 degrees from its neighbour's is a jump", () => {
+  const [first, second] = boxes;
+  const jump = (/** @type {Vector | null} */ other, quarters = 0) =>
+    box3d.headingJump({ box: box3d.headingTurned(first, quarters), heading_beside: other });
+  const after = (/** @type {number} */ deg) =>
+    jump(box3d.boxAxis(box3d.turned(first, box3d.boxAxis(first, 2), (deg * Math.PI) / 180), 0));
+  assert.equal(jump(null), null);
+  assert.equal(after(119.9), null);
+  assertClose(after(120.1) ?? 0, 120.1);
+  // the angle between the headings of the first two boxes is the package's
+  assert.equal(jump(box3d.boxAxis(second, 0)), null);
+  assertClose(jump(box3d.boxAxis(second, 0), 2) ?? 0, 180 - (cases.turn_of_heading * 180) / Math.PI, 1e-6);
+});
+
 test("turning the heading by 90 degrees keeps the corners", () => {
   for (const box of boxes) {
-    const after = box3d.headingTurned(box);
+    const after = box3d.headingTurned(box, 1);
+    assert.ok(box3d.fillSame(box, after));
+    assert.ok(!box3d.fillSame(box, { ...after, size: box.size }));
     const corners = box3d.corners(after);
     for (const corner of box3d.corners(box)) {
       assert.ok(corners.some((other) => Math.hypot(...subtract(corner, other)) < 1e-9));
     }
     assertClose(box3d.boxAxis(after, 0), box3d.boxAxis(box, 1));
-    const around = [1, 2, 3].reduce((one) => box3d.headingTurned(one), after);
-    assert.ok(box3d.sameBox(around, box));
+    assert.ok(box3d.sameBox(box3d.headingTurned(after, 3), box));
+    assert.deepEqual(box3d.headingTurned(box, 2).size, box.size);
   }
 });
 

@@ -3,7 +3,8 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { nameOf, steps } from "../../web_assets/js/attributes.js";
-import { classColor, isDark, trackColor } from "../../web_assets/js/colors.js";
+import { matching } from "../../web_assets/js/classes/picker.js";
+import { classColor, isDark, PALETTE, STATE_COLORS, trackColor } from "../../web_assets/js/colors.js";
 import { createKeys, KEYS } from "../../web_assets/js/keys.js";
 
 /** Presses keys in a mode; `press("k", {target: …})` returns whether the page took it, `told` has the handlers' keys. */
@@ -113,4 +114,35 @@ test("a key goes through the few values of an attribute; another one is typed", 
   assert.deepEqual(steps({ kind: "integer", minimum: 0.5, maximum: 3 }), [1, 2, 3]);
   assert.equal(steps({ kind: "integer", minimum: 0, maximum: 20 }), null);
   assert.equal(steps({ kind: "number", minimum: 0, maximum: 2 }), null);
+});
+
+test("the colours of 20 classes and of what is proposed are far apart", () => {
+  // OKLab, after B. Ottosson, 2020
+  const lab = (/** @type {string} */ color) => {
+    const [r, g, b] = [1, 3, 5].map((at) => {
+      const share = Number.parseInt(color.slice(at, at + 2), 16) / 255;
+      return share <= 0.04045 ? share / 12.92 : ((share + 0.055) / 1.055) ** 2.4;
+    });
+    const l = Math.cbrt(0.4122214708 * r + 0.5363325363 * g + 0.0514459929 * b);
+    const m = Math.cbrt(0.2119034982 * r + 0.6806995451 * g + 0.1073969566 * b);
+    const s = Math.cbrt(0.0883024619 * r + 0.2817188376 * g + 0.6299787005 * b);
+    return [
+      0.2104542553 * l + 0.793617785 * m - 0.0040720468 * s,
+      1.9779984951 * l - 2.428592205 * m + 0.4505937099 * s,
+      0.0259040371 * l + 0.7827717662 * m - 0.808675766 * s,
+    ];
+  };
+  const all = [...PALETTE, STATE_COLORS.proposed].map(lab);
+  assert.equal(all.length, 21);
+  all.forEach((a, i) => {
+    for (const b of all.slice(i + 1)) assert.ok(Math.hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]) > 0.12);
+  });
+});
+
+test("classes are found by a part of their names, those that begin with it first", () => {
+  const names = ["person", "car", "tram", "Trailer", "motor car"];
+  assert.deepEqual(matching(names, " car"), ["car", "motor car"]);
+  assert.deepEqual(matching(names, "TR"), ["tram", "Trailer"]);
+  assert.deepEqual(matching(names, ""), names);
+  assert.deepEqual(matching(names, "bus"), []);
 });

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.oriented_box import box_corners, turn_of_heading
 from annotator.geometry.outline import box_on_image, heading_px
 from annotator.geometry.projection import project
 from annotator.types import Camera, OrientedBox, PointCloud
@@ -33,6 +33,7 @@ def cases() -> dict[str, Any]:
     ]
     cameras = [Camera(640, 480, 500.0, 510.0, 321.5, 240.5, lens) for lens in LENSES]
     return {
+        "turn_of_heading": turn_of_heading(*boxes[:2]),
         "boxes": [
             {
                 "box": {name: np.round(value, 12).tolist() for name, value in _parts(box)},

@@ -20,6 +20,8 @@ import {
 export const MIN_SIZE_M = 0.01;
 /** The arrow of the heading ends so far in front of the box, share of its mean side, as geometry/oriented_box.py. */
 const ARROW_BEYOND = 0.2;
+const JUMP_DEG = 120;
+const DEGREES = 180 / Math.PI;
 
 // the same order as the server: --- +-- ++- -+- --+ +-+ +++ -++
 const SIGNS = [
@@ -63,10 +65,23 @@ export function corners(/** @type {Box3D} */ box) {
   return SIGNS.map((sign) => half.reduce((point, side, i) => add(point, scale(side, sign[i])), box.center));
 }
 
-/** The arrow that shows the heading: from the middle of the box through its front (the +x face). */
+/** The arrow that shows the heading: on the ground (-z) face, from its middle through the front (+x). */
 export function headingArrow(/** @type {Box3D} */ box) {
   const mean = (box.size[0] + box.size[1] + box.size[2]) / 3;
-  return [box.center, add(box.center, scale(boxAxis(box, 0), box.size[0] / 2 + ARROW_BEYOND * mean))];
+  const foot = add(box.center, scale(boxAxis(box, 2), -box.size[2] / 2));
+  return [foot, add(foot, scale(boxAxis(box, 0), box.size[0] / 2 + ARROW_BEYOND * mean))];
+}
+
+/**
+ * How far a box is turned from the one beside it in its track, degrees, if that is more than an object turns; else
+ * null. As the check of headings (workflows/checking).
+ */
+export function headingJump(
+  /** @type {{ box: Box3D, heading_beside: Vector | null }} */ { box, heading_beside: other },
+) {
+  const cosine = other ? dot(boxAxis(box, 0), other) : 1;
+  const turnDeg = Math.acos(Math.max(-1, Math.min(1, cosine))) * DEGREES;
+  return turnDeg > JUMP_DEG ? turnDeg : null;
 }
 
 /**
@@ -160,19 +175,25 @@ export function turned(/** @type {Box3D} */ box, /** @type {Vector} */ axis, /**
 export const turnedInView = (/** @type {Plane} */ view, /** @type {Box3D} */ box, /** @type {number} */ angleRad) =>
   turned(box, view.axes[2], angleRad);
 
-/** The same cuboid with its heading turned by 90 degrees about z: length and width are swapped. */
-export function headingTurned(/** @type {Box3D} */ box) {
+/**
+ * The same cuboid with its heading turned by so many quarters about z, so that the same points are inside: by one,
+ * length and width are swapped.
+ *
+ * @returns {Box3D}
+ */
+export function headingTurned(/** @type {Box3D} */ box, /** @type {number} */ quarters) {
+  if (quarters === 0) return copyBox(box);
   const [x, y, z] = [0, 1, 2].map((i) => boxAxis(box, i));
-  return {
-    center: [...box.center],
-    size: [box.size[1], box.size[0], box.size[2]],
-    rotation: fromColumns(y, scale(x, -1), z),
-  };
+  const size = [box.size[1], box.size[0], box.size[2]];
+  return headingTurned({ center: box.center, size, rotation: fromColumns(y, scale(x, -1), z) }, quarters - 1);
 }
+
+/** Whether two boxes fill the same space, whichever way they face. */
+export const fillSame = (/** @type {Box3D} */ a, /** @type {Box3D} */ b) =>
+  [0, 1, 2, 3].some((quarters) => sameBox(headingTurned(a, quarters), b));
 
 // -- as numbers in a form
 
-const DEGREES = 180 / Math.PI;
 const tidy = (/** @type {number} */ value) => (Object.is(value, -0) ? 0 : value);
 
 /** {yaw, pitch, roll} in degrees; see `toAngles` for what they mean. */

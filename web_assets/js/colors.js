@@ -1,6 +1,18 @@
-/** A colour for each class; the colours are distinguishable on dark and light pictures and by colour-blind people. */
+/** The colours of boxes: by state, class or track. */
 
-const PALETTE = ["#ff9f1c", "#2ec4f0", "#b5e61d", "#ff5d8f", "#9d8df1", "#ffe14d", "#3ddc97", "#ff7043", "#d0a2f7"];
+/**
+ * Colours by state: visible on dark and light pictures, and the same as in the 3D view. What is proposed, dashed or not,
+ * has a colour that no class has.
+ *
+ * @type {Record<Api.ReviewState, string>}
+ */
+export const STATE_COLORS = { proposed: "#f0ad4e", accepted: "#5fca85", edited: "#6aaef5", rejected: "#9aa1ad" };
+
+/** Of 20 classes; any two, and each beside what is proposed, are at least 0.12 apart in OKLab. */
+export const PALETTE = [
+  ...["#2ec4f0", "#ff5d8f", "#b5e61d", "#9d8df1", "#fc6c0c", "#3ddc97", "#b40cc0", "#0c60fc", "#f0e49c", "#488400"],
+  ...["#fcc0fc", "#24849c", "#78fcfc", "#d80054", "#90a83c", "#8430fc", "#b4540c", "#f09ca8", "#9c6090", "#fc48fc"],
+];
 
 /**
  * The colour of a class: the one that was set, else by its position in the project's list; grey if it is not listed.

@@ -1,7 +1,7 @@
 /** Modal dialogs: a form in a <dialog>, which keeps the focus inside and closes with Escape. */
 
-import { elementById, h, iconButton } from "./dom.js";
-import { isAborted, isStale, messageOf } from "./errors.js";
+import { h, iconButton } from "./dom.js";
+import { messageOf } from "./errors.js";
 
 /**
  * Shows a dialog until one of its actions is done.
@@ -38,7 +38,8 @@ export function openDialog({ title, content, actions, submit, required = false, 
       "form",
       { method: "dialog" },
       h("header", {}, h("h2", {}, title), close),
-      h("div", { class: "content" }, content, problem),
+      // so that a table without fields can be scrolled by keys
+      h("div", { class: "content", tabindex: wide ? 0 : null }, content, problem),
       h("footer", {}, buttons),
     );
     dialog.append(form);
@@ -154,37 +155,4 @@ function keyCaps(/** @type {import("./keys.js").KeyRow} */ row) {
     index > 0 && !row.shown ? " or " : " ",
     ...name.split(/(?<=.)\+/).map((part) => h("kbd", {}, part)),
   ]);
-}
-
-// -- short messages in the corner; an error stays for twelve seconds, or until it is closed
-
-const SHOWN_MS = { info: 4000, good: 4000, warn: 8000, error: 12000 };
-
-/**
- * toast("Saved") · toast(error) · toast("text", "warn"): kinds are info, good, warn (also for a stale change) and error.
- *
- * @param {unknown} message an error, or a text.
- * @param {keyof typeof SHOWN_MS} [kind]
- */
-export function toast(message, kind) {
-  if (isAborted(message)) return;
-  const isError = message instanceof Error;
-  const shown = kind ?? (isStale(message) ? "warn" : isError ? "error" : "info");
-  const text = messageOf(message);
-  const host = elementById("toasts");
-  for (const old of host.children) if (old.getAttribute("data-text") === text) old.remove();
-  const note = h(
-    "div",
-    {
-      class: `toast ${shown}`,
-      "data-testid": `toast-${shown}`,
-      "data-text": text,
-      role: shown === "error" ? "alert" : null,
-    },
-    h("span", {}, text),
-  );
-  note.append(iconButton("close", "Close this message", () => note.remove()));
-  host.append(note);
-  while (host.children.length > 5) host.firstElementChild?.remove();
-  setTimeout(() => note.remove(), SHOWN_MS[shown]);
 }

@@ -6,13 +6,14 @@
  */
 
 import { createApi, projectPath } from "./api.js";
-import { askUnsaved, confirm, keyTableDialog, toast } from "./dialogs.js";
+import { askUnsaved, confirm, keyTableDialog } from "./dialogs.js";
 import { button, elementById, h } from "./dom.js";
 import { createEffort } from "./effort.js";
 import { ApiError, isAborted, messageOf } from "./errors.js";
 import { createEvents } from "./events.js";
 import { createFrameState, createState } from "./frame_state.js";
 import { createKeys } from "./keys.js";
+import { showHints, toast } from "./messages.js";
 import { makeHash, parseHash } from "./router.js";
 import { signIn } from "./session.js";
 import { applyTheme, mountTopbar } from "./topbar.js";
@@ -151,7 +152,7 @@ async function readjust(/** @type {Messages["adjusted"]} */ { recording, operato
 /** Reads the project again; modes then show its classes, and read the frame again. */
 function takeClasses(/** @type {Messages["classes"]} */ { operator }) {
   app.frames.miss();
-  if (operator !== app.state.operator) toast(`${operator} has changed the classes or attributes.`);
+  if (operator !== app.state.operator) toast(`${operator} has changed the project's classes or settings.`);
   refreshProject().catch(toast);
 }
 
@@ -263,6 +264,7 @@ function leave() {
   app.viewport?.detach();
   work.className = "work";
   work.replaceChildren();
+  showHints();
 }
 
 function showProblem(/** @type {unknown} */ error, /** @type {Route} */ route) {

@@ -27,7 +27,7 @@ from annotator.project.classes.attributes import AttributeName, Value
 from annotator.project.config import rename_project, set_aside
 from annotator.project.database.store import waiting_at_most
 from annotator.project.overview import ClassList, list_classes
-from annotator.types import DetectorKind
+from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import AnnotatorError
 from annotator.web.context import AtProject, Context, Ctx, InProject, Operator
 from annotator.web.errors import INTERNAL
@@ -98,7 +98,7 @@ class ProjectInfo(Schema):
     classes: list[str]
     class_styles: dict[str, dict[str, Any]]
     attributes: list[dict[str, Any]]
-    settings: dict[str, Any]
+    settings: ProjectSettings
     recordings: list[RecordingInfo]
     labels_by_state: dict[str, int]
     frames: int
@@ -145,7 +145,7 @@ def project_info(at: InProject) -> ProjectInfo:
         summary_of(at.name, project),
         class_styles={each: style.model_dump(mode="json") for each, style in config.class_styles.items()},
         attributes=[attribute.model_dump(mode="json") for attribute in config.attributes],
-        settings=config.settings.model_dump(mode="json"),
+        settings=config.settings,
         recordings=[recording_info(recording) for recording in project.recordings.all()],
         detectors=ActiveDetectors(
             image=_detector(project, DetectorKind.IMAGE),
@@ -251,6 +251,20 @@ def remove(name: str, ctx: Ctx, operator: Operator) -> RemovedProject:
     ctx.hub.send({"type": "removed", "project": name, "operator": operator})
     place = ctx.public_message(str(aside.absolute()))
     return RemovedProject(folder=place, command=shlex.join(["annotator", "project", "copy", place, name]))
+
+
+class BoxKindIn(Schema):
+    """What the 2D boxes enclose that people draw."""
+
+    box_kind: BoxKind
+
+
+@router.put("/api/projects/{name}/box-kind", status_code=204)
+def set_box_kind(at: AtProject, body: BoxKindIn) -> None:
+    """Set what drawn 2D boxes enclose, for all operators; those of a frame that has some stay as they are."""
+    settings = at.project.config.settings.model_copy(update={"box_kind": body.box_kind})
+    at.project.configure(settings=settings)
+    at.ctx.hub.send({"type": "classes", "project": at.name, "renamed": {}, "operator": at.operator})
 
 
 class ValuesIn(FrameChange):

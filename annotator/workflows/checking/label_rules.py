@@ -16,7 +16,7 @@ from jaxtyping import Float64
 
 from annotator.formats.kitti_rows import NEAR_M, KittiLabel, derived_box, label_box, observation_angle
 from annotator.geometry.iou import iou_3d_matrix
-from annotator.geometry.oriented_box import box_corners, contains
+from annotator.geometry.oriented_box import box_corners, contains, turn_of_heading
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import every_nth, project
 from annotator.project.classes.attributes import Attribute, AttributeOf, value_text
@@ -38,6 +38,8 @@ SIZE_DEVIATIONS = 5.0
 DEVIATION_OF_MAD = 1.4826
 LEAST_FOR_MEDIAN = 5
 HEADING_JUMP_RAD = float(np.deg2rad(60))
+# The same between boxes of a track that are several frames apart; what the page marks. As in web_assets/js/box3d.js.
+FAR_JUMP_RAD = float(np.deg2rad(120))
 OVERLAP_IOU = 0.3
 LEAST_POINTS = 5
 
@@ -105,22 +107,27 @@ def _size_text(size_m: Iterable[float]) -> str:
     return " x ".join(f"{side:.2f}" for side in size_m) + " m"
 
 
-def heading_jumps(boxes: Boxes, earlier: Boxes, *, tracked_only: bool = False) -> Iterator[BoxBreach]:
+def heading_jumps(
+    boxes: Boxes, earlier: Boxes, *, tracked_only: bool = False, last: Mapping[int, Truth] | None = None
+) -> Iterator[BoxBreach]:
     """Yields boxes that have turned by more than `HEADING_JUMP_RAD` since the previous frame.
 
     Args:
         earlier: the boxes of the previous frame. A box is matched by its track id, else with the nearest box of its
             class within its own length.
         tracked_only: match by track id only, for frames that may not be consecutive in time.
+        last: the last boxes of tracks by their ids. A box without a match is compared with that of its track, and may
+            have turned by `FAR_JUMP_RAD`.
     """
     for number, each in enumerate(boxes):
-        other = _predecessor(each, earlier, tracked_only)
+        other, most_rad, since = _predecessor(each, earlier, tracked_only), HEADING_JUMP_RAD, "the previous frame"
+        if other is None and last is not None and each.track_id is not None:
+            other, most_rad, since = last.get(each.track_id), FAR_JUMP_RAD, f"the last box of track {each.track_id}"
         if other is None:
             continue
-        cosine = float(np.clip(each.box.rotation[:, 0] @ other.box.rotation[:, 0], -1, 1))
-        angle = float(np.arccos(cosine))
-        if angle > HEADING_JUMP_RAD:
-            yield number, f"{each.label} has turned by {np.rad2deg(angle):.0f} degrees since the previous frame"
+        angle = turn_of_heading(each.box, other.box)
+        if angle > most_rad:
+            yield number, f"{each.label} has turned by {np.rad2deg(angle):.0f} degrees since {since}"
 
 
 def overlaps(boxes: Boxes, least_iou: float) -> Iterator[tuple[int, int, float]]:

@@ -4,7 +4,7 @@
   (`checking.label_rules.UsualSize`; length and width may be swapped); needs enough reviewed boxes;
 - empty: fewer than `LEAST_POINTS` points of the cloud lie in the box;
 - heading: a box has turned by more than 60 degrees since the previous frame of a sequence (matched by track, else the
-  nearest box of its class within its own length);
+  nearest box of its class within its own length), or by more than 120 since the last box of its track;
 - duplicate: two boxes of one class overlap by `OVERLAP_IOU` or more (exact 3D IoU);
 - track: a track has two boxes in one frame, or boxes of two classes;
 - class: the project does not have the label's class;
@@ -28,7 +28,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from annotator.files import TABLE_BYTES, read_file, write_atomic
 from annotator.geometry.oriented_box import contains
-from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel
+from annotator.project import MOST_BESIDE, REVIEWED, Project, StoredFrame, StoredLabel
 from annotator.project.classes.attributes import Attribute, AttributeOf, value_text
 from annotator.types import Label, OrientedBox, ReviewState
 from annotator.types.bases import Strict
@@ -152,12 +152,16 @@ def check_project(project: Project, budget_s: float = math.inf) -> CheckReport:
     tracks = _Tracks(stored, frames)
     classes, attributes, of_frames = project.config.classes, project.config.attributes, project.frames.attributes()
     before = _previous_frames(frames.values(), {r.id for r in recordings.values() if r.is_sequence})
+    last = defaultdict[int, dict[int, tuple[int, Label]]](dict)  # of each recording's tracks, with its index
     warnings: list[WarningRow] = []
     for frame in frames.values():
         labels, values = by_frame.get(frame.id, []), of_frames.get(frame.id, {})
         # nobody can complete a frame that its recording no longer has
         is_complete = bool(labels) or (frame.finalised and frame.index is not None)
         points = count_points(frame, [label.box for label in labels])
+        of_tracks = last[frame.recording_id]
+        is_timed = frame.index is not None and recordings[frame.recording_id].is_sequence
+        near = {id: label for id, (index, label) in of_tracks.items() if (frame.index or 0) - index <= MOST_BESIDE}
         rules: tuple[tuple[Kind, Iterable[tuple[int | None, str]]], ...] = (
             (Kind.CLASS, _unknown_classes(labels, classes)),
             (Kind.ATTRIBUTE, label_rules.odd_values(labels, attributes)),
@@ -165,7 +169,7 @@ def check_project(project: Project, budget_s: float = math.inf) -> CheckReport:
             (Kind.ATTRIBUTE, tracks.odd_values(labels, frame, attributes)),
             (Kind.TRACK, tracks.odd_classes(labels, frame)),
             (Kind.SIZE, tracks.odd_sizes(labels, frame, dict(label_rules.odd_sizes(labels, usual)))),
-            (Kind.HEADING, label_rules.heading_jumps(labels, by_frame.get(before.get(frame.id, -1), []))),
+            (Kind.HEADING, label_rules.heading_jumps(labels, by_frame.get(before.get(frame.id, -1), []), last=near)),
             (Kind.DUPLICATE, _duplicates(labels)),
             (Kind.EMPTY, _empty(labels, points)),
         )
@@ -181,6 +185,8 @@ def check_project(project: Project, budget_s: float = math.inf) -> CheckReport:
             for kind, breaches in rules
             for number, message in breaches
         ]
+        if is_timed:
+            of_tracks |= {each.track_id: (frame.index or 0, each) for each in labels if each.track_id is not None}
     count_points.save()
     gone = (why_gone(each.path, each.name, project.path.name) for each in recordings.values())
     return CheckReport(

@@ -96,7 +96,7 @@ def test_keys_and_clicks_change_decide_and_select_boxes(desk: Desk, wait_for) ->
     page.reload()
     desk.settled()
     # the heading turns by 90 degrees and the corners stay
-    desk.press("f")
+    desk.press("Shift+F")
     wait_for(lambda: desk.label.state is ReviewState.EDITED)
     turned = desk.label.box
     np.testing.assert_allclose(turned.size_m, before.size_m[[1, 0, 2]], atol=1e-9)
@@ -424,7 +424,7 @@ def test_stale_and_failed_edits_are_neither_lost_nor_forced(desk: Desk, wait_for
     for choice, decide in (("theirs", desk.project.labels.accept), ("mine", desk.project.labels.reject)):
         # a change that is not announced to the page
         decide(frame, uid, WriteContext(desk.project.frames.get(frame).revision, "Bob"))
-        desk.press("f")
+        desk.press("Shift+F")
         desk.page.get_by_test_id("stale-dialog").wait_for()
         assert desk.label.state in (ReviewState.ACCEPTED, ReviewState.REJECTED)
         desk.page.get_by_test_id(f"dialog-{choice}").click()
@@ -438,7 +438,7 @@ def test_stale_and_failed_edits_are_neither_lost_nor_forced(desk: Desk, wait_for
     # a box that could not be saved stays until it is saved or discarded, and the page asks before it leaves it
     page, here = desk.page, desk.page.url
     refuse(page, "changes")
-    desk.press("f")
+    desk.press("Shift+F")
     expect(page.get_by_test_id("not-saved")).to_contain_text("Not saved")
     assert page.evaluate("!dispatchEvent(new Event('beforeunload', { cancelable: true }))")
     for leave in (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from typing import Any
 
@@ -19,6 +20,9 @@ from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.follow_objects import Follower
 
 expect = pytest.importorskip("playwright.sync_api").expect
+
+
+TURNED = re.compile(r"turned by 1[78]\d°")
 
 
 def of_track(desk: Desk, frame: int, track_id: int = 7) -> list[Label]:
@@ -68,6 +72,26 @@ def test_a_track_is_continued_filled_and_stepped_through(desk: Desk, wait_for) -
     desk.press("Shift+N")
     expect(page.get_by_test_id("frame-position")).to_have_text("2 / 5")
     assert desk.uid == copied.uid
+    desk.settled()
+    # turned round beside its neighbour, it is marked at once: in the list, in the views, on the image, at the number
+    jumps, on_pictures = page.get_by_test_id("heading-jump"), page.get_by_test_id("wrong-heading")
+    expect(jumps).to_have_count(0)
+    desk.press("f")
+    expect(jumps).to_have_count(1)
+    expect(on_pictures).to_have_count(4)
+    expect(page.locator(".number-field .bad")).to_have_text(TURNED)
+    expect(page.get_by_test_id("editor-tag").filter(has_text=TURNED)).to_have_count(1)
+    wait_for(lambda: of_track(desk, frames[1])[0].box.rotation[:, 0] @ copied.box.rotation[:, 0] < -0.999)
+    (turned,) = of_track(desk, frames[1])
+    np.testing.assert_allclose(turned.box.size_m, copied.box.size_m, atol=1e-9)
+    desk.settled()
+    desk.press("f")
+    expect(jumps).to_have_count(0)
+    expect(on_pictures).to_have_count(0)
+    desk.settled()
+    desk.press("Control+z", "Control+z")
+    wait_for(lambda: of_track(desk, frames[1])[0].state is ReviewState.PROPOSED)
+    desk.settled()
     desk.press("Control+z")
     wait_for(lambda: not of_track(desk, frames[1]))
 

@@ -257,6 +257,14 @@ def test_a_finalised_frame_is_not_drawn_on_and_others_boxes_appear(bench: Bench)
     bench.draw_on_image(0)
     bench.saved()
     assert len(bench.image_boxes) == 2
+    with page.expect_response("**/label/steps") as answer:
+        page.get_by_test_id("kind-box").click()
+    assert answer.value.request.post_data_json["box_kind"] == "box"
+    bench.saved()
+    assert bench.state["image_boxes"]["box_kind"] == "box"
+    # the choice is the project's, for all operators
+    assert bench.live.client.get(bench.api).json()["settings"]["box_kind"] == "box"
+
     page.keyboard.press("?")
     table = page.get_by_test_id("key-table")
     expect(table.get_by_text("Accept, then go to the next")).to_have_count(1)

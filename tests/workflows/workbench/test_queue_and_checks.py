@@ -173,6 +173,13 @@ def test_heading_jumps_in_sequences_are_found(people: Project) -> None:
     # another track at the same position is another object
     people.labels.create(frames[2].id, [label(box_at(0.1, 2.5), track=2)], WriteContext(0, "ann"))
     assert warned(people, frames[2].id) == []
+    # two frames later, track 1 may have turned by 120 degrees; that is what the page marks, too
+    for frame, angle, expected in ((frames[3], 2.7, [(Kind.HEADING, 3)]), (frames[4], 1.7, [])):
+        people.labels.create(frame.id, [label(box_at(0.1, angle), track=1)], WriteContext(0, "ann"))
+        assert warned(people, frame.id) == expected
+    compared = [people.labels.beside(people.frames.get(frames[n].id)) for n in (0, 1, 3, 4)]
+    headings = [np.arctan2(boxes[1].rotation[1, 0], boxes[1].rotation[0, 0]) for boxes in compared]
+    np.testing.assert_allclose(headings, [0.5, 0.0, 0.5, 2.7], atol=1e-9)  # of the frame before; of the first, after it
 
 
 def test_duplicates_are_found(people: Project) -> None:

@@ -190,7 +190,7 @@ export function createPicturePanel(recordings, { onRecording, onMissing }) {
   const problem = h("p", { class: "error-box", role: "alert", hidden: true, "data-testid": "alignment-problem" });
   const chosen = h(
     "select",
-    { "data-testid": "alignment-recording", onchange: onRecording },
+    { "aria-label": "Recording", "data-testid": "alignment-recording", onchange: onRecording },
     ...recordings.map(({ id, name }) => h("option", { value: String(id) }, name)),
   );
   const points = h("input", { type: "checkbox", checked: true, onchange: display, "data-testid": "show-points" });

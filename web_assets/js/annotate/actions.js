@@ -3,7 +3,7 @@
 import { button, h, iconButton } from "../dom.js";
 
 /**
- * @typedef {Record<"accept" | "reject" | "remove" | "refit" | "flip" | "copy" | "follow" | "draw" | "finalise",
+ * @typedef {Record<"accept" | "reject" | "remove" | "refit" | "turn" | "copy" | "follow" | "draw" | "finalise",
  *     () => unknown> & { gizmo: (mode: Api.Gizmo) => void, teach: (on: boolean) => void }} Act
  */
 
@@ -21,19 +21,21 @@ const GIZMOS = [
 export function createActions(host, act) {
   const action = (
     /** @type {Exclude<keyof Act, "gizmo" | "remove" | "teach">} */ id,
-    /** @type {string} */ text,
+    /** @type {string | HTMLElement} */ text,
     /** @type {string} */ key,
     /** @type {string} */ kind = "",
   ) =>
     button([text, h("kbd", {}, key)], () => act[id](), {
       class: kind,
-      title: `${text} (${key})`,
+      title: `${typeof text === "string" ? text : text.textContent} (${key})`,
       "data-testid": `act-${id}`,
     });
-  const accept = action("accept", "Accept", "Space", "primary");
+  const word = h("span", {}, "Accept");
+  const accept = action("accept", word, "Space", "primary");
   const reject = action("reject", "Reject", "X");
   const refit = action("refit", "Fit again", "G");
-  const flip = action("flip", "Turn 90°", "F");
+  const turn = action("turn", "Turn", "F");
+  turn.title = "Turn the heading by 180° (F), or by 90° (Shift F)";
   const copy = action("copy", "Copy previous", "C");
   const follow = action("follow", "Follow", "V");
   const draw = action("draw", "New box", "B");
@@ -64,7 +66,7 @@ export function createActions(host, act) {
     remove,
     h("span", { class: "divider" }),
     refit,
-    flip,
+    turn,
     h("span", { class: "divider" }),
     gizmo,
     h("div", { class: "segments", role: "group", "aria-label": "Views of the object" }, views),
@@ -82,7 +84,7 @@ export function createActions(host, act) {
      *     are proposals, here or elsewhere; canAccept: boxes on the pseudo-views are suggested.
      */
     show({ label, frame, gizmoMode, busy, isDrawing, isMoreOpen, isTeaching, canAccept }) {
-      for (const one of [reject, refit, flip, remove]) one.disabled = !label || busy;
+      for (const one of [reject, refit, turn, remove]) one.disabled = !label || busy;
       const isReviewed = label?.state === "accepted" || label?.state === "edited";
       accept.disabled = busy || !(label || isMoreOpen || canAccept);
       for (const [i, one] of views.entries()) one.setAttribute("aria-pressed", String(isTeaching === (i === 1)));
@@ -90,7 +92,7 @@ export function createActions(host, act) {
         (isReviewed || !label) && !canAccept
           ? ["Next", "Next open box of this frame, or of the queue (Space)"]
           : ["Accept", "Accept (Space)"];
-      if (accept.firstChild) accept.firstChild.textContent = text;
+      word.textContent = text;
       accept.title = title;
       copy.disabled = !frame || frame.frame.previous === null || busy || frame.frame.finalised;
       follow.disabled = !frame || frame.frame.next === null || !(isReviewed || label?.isNew) || busy;

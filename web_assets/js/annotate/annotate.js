@@ -9,10 +9,12 @@
  */
 
 import { createAttributes } from "../attributes.js";
+import { askClass } from "../classes/picker.js";
 import { h } from "../dom.js";
 import { createFrameProblem } from "../frame_problem.js";
+import { showHints } from "../messages.js";
 import { createActions } from "./actions.js";
-import { createClassPicker } from "./class_picker.js";
+import { createNextClass } from "./class_picker.js";
 import { createCommands } from "./commands.js";
 import { createDesk, isOpen } from "./desk.js";
 import { createFields } from "./fields.js";
@@ -42,6 +44,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   }
   const parts = layout();
   root.append(parts.root);
+  showHints(parts.hint, parts.problem, parts.saving);
   const desk = createDesk(app);
   const queue = createQueue(app, showQueue);
   const opening = createOpening(app, {
@@ -62,7 +65,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   const goInQueue = (/** @type {Target} */ target) => go(target, true);
   const queueList = createQueueList(parts.queue, app, queue, { open: goInQueue });
   const boxList = createBoxList(parts.boxes, app, desk, () => teach);
-  const picker = createClassPicker(parts.classes, app);
+  const picker = createNextClass(parts.classes, app);
   const preload = createPreload(app, desk, queue);
   const sheet = createSheet(app, {
     desk,
@@ -71,7 +74,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     open: goInQueue,
     isFollowed: (track) => follow.isFollowed(track),
   });
-  const tracks = createTracks(parts.boxes, app, desk, {
+  const tracks = createTracks(parts.track, app, desk, {
     open: go,
     sheet: () => commands.whenCalm(sheet.show),
     async onCarried() {
@@ -80,7 +83,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       sheet.again();
     },
   });
-  const follow = createFollow(parts.boxes, app, desk, {
+  const follow = createFollow(parts.track, app, desk, {
     open: go,
     onFirst(target) {
       if (sheet.again()) return;
@@ -93,6 +96,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   const image = createImagePanel(parts.image, app, desk, {
     teach: () => teach,
     nextClass: () => picker.label,
+    hint: parts.hint,
     onDrawn: (box) => commands.fitDrawn(box),
     onMode: () => showActions(),
     canDraw: () => commands.canDraw(),
@@ -150,6 +154,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     accept: () => commands.decide("accept"),
     reject: () => commands.decide("reject"),
     remove: () => commands.decide("delete"),
+    turn: () => commands.turn(2),
     gizmo: setGizmo,
     follow: () => commands.followOne("forward"),
     teach: teach.turn,
@@ -269,7 +274,21 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       desk.refresh().catch(app.toast);
     }),
     app.keys.register(
-      bindings({ commands, opening, tracks, sheet, scene, image, ortho, teach, map, turnMap, setGizmo, attributes }),
+      bindings({
+        app,
+        commands,
+        opening,
+        tracks,
+        sheet,
+        scene,
+        image,
+        ortho,
+        teach,
+        map,
+        turnMap,
+        setGizmo,
+        attributes,
+      }),
     ),
   ];
 
@@ -332,7 +351,10 @@ export function layout() {
   const part = (/** @type {string} */ name, /** @type {string} */ label) =>
     h("section", { class: `panel ${name}`, "aria-label": label });
   const queue = part("queue", "Queue");
-  const boxes = part("frame-boxes", "Boxes of this frame");
+  const boxes = h("div", { class: "panel of-frame" });
+  const track = h("div", { class: "of-track" });
+  const ofFrame = part("frame-boxes", "Boxes of this frame");
+  ofFrame.append(boxes, track);
   const classes = part("next-class", "Class of the next box");
   const imagePanel = part("image", "Camera image");
   const scene = part("scene", "3D view");
@@ -343,18 +365,21 @@ export function layout() {
   const fields = part("fields", "Selected box");
   const actions = h("div", { class: "actions", role: "toolbar", "aria-label": "Actions" });
   const saving = h("span", { class: "muted", role: "status", "data-testid": "saving" });
+  const hint = h("span", { class: "ellipsis", role: "status", "data-testid": "image-note" });
   const root = h(
     "div",
     { class: "annotate" },
-    h("div", { class: "side" }, queue, boxes, classes),
+    h("div", { class: "side" }, queue, ofFrame, classes),
     h("div", { class: "pictures" }, imagePanel, scene, map),
-    h("div", { class: "bar" }, actions, problem, saving),
+    actions,
     h("div", { class: "details" }, object, fields),
   );
   return {
     root,
+    hint,
     queue,
     boxes,
+    track,
     classes,
     image: imagePanel,
     scene,
@@ -383,6 +408,7 @@ export function emptyProject(/** @type {string} */ name) {
 
 /**
  * @param {object} parts
+ * @param {ModeApp} parts.app
  * @param {ReturnType<typeof import("./commands.js").createCommands>} parts.commands
  * @param {Opening} parts.opening
  * @param {ReturnType<typeof import("./tracks.js").createTracks>} parts.tracks
@@ -397,6 +423,7 @@ export function emptyProject(/** @type {string} */ name) {
  * @param {ReturnType<typeof import("../attributes.js").createAttributes>} parts.attributes
  */
 export function bindings({
+  app,
   commands,
   opening,
   tracks,
@@ -422,8 +449,11 @@ export function bindings({
     reject: once(() => commands.decide("reject")),
     delete: once(() => commands.decide("delete")),
     refit: once(commands.refit),
-    flip: once(commands.flip),
-    class: (/** @type {KeyboardEvent} */ _, /** @type {string} */ key) => commands.setClass(key),
+    turn: once(() => commands.turn(2)),
+    "turn-quarter": once(() => commands.turn(1)),
+    class: (/** @type {KeyboardEvent} */ _, /** @type {string} */ key) =>
+      commands.setClass(app.state.project.classes[Number(key) - 1]),
+    "class-search": once(async () => commands.setClass(await askClass(app))),
     attribute: (/** @type {KeyboardEvent} */ _, /** @type {string} */ key) => attributes.press(key),
     cancel: commands.cancel,
     finalise: once(commands.finalise),

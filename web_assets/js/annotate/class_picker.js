@@ -1,36 +1,22 @@
-/** Buttons for the class of the next box; the digit keys do the same. The last button changes the classes. */
+/** The class of the next box: that of the box that was selected last, or the one that was picked since. */
 
-import { editClasses } from "../classes/classes.js";
-import { classColor } from "../colors.js";
-import { button, h, iconButton, patch } from "../dom.js";
+import { createClassPicker } from "../classes/picker.js";
+import { h } from "../dom.js";
 
-export function createClassPicker(/** @type {HTMLElement} */ host, /** @type {ModeApp} */ app) {
-  const project = app.state.route.project;
-  const root = h("div", { class: "classes", role: "radiogroup", "aria-label": "Class of the next box" });
-  host.append(h("header", {}, h("h2", {}, "Class of the next box")), root);
+export function createNextClass(/** @type {HTMLElement} */ host, /** @type {ModeApp} */ app) {
+  const buttons = createClassPicker(app, pick);
+  host.append(h("header", {}, h("h2", {}, "Class of the next box")), buttons.root);
   /** @type {string | null} */
   let picked = null;
 
-  /** None while the project is being left. */
+  // none while the project is being left
   const classes = () => /** @type {App} */ (app).state.project?.classes ?? [];
 
+  /** The first class if the picked one was removed. */
+  const label = () => (picked !== null && classes().includes(picked) ? picked : classes()[0]);
+
   function show() {
-    patch(
-      root,
-      classes().map((label, index) => {
-        const swatch = h("span", { class: "swatch" });
-        swatch.style.background = classColor(app.state.project, label);
-        const digit = index < 9 ? h("kbd", {}, String(index + 1)) : null;
-        return button([swatch, label, digit], () => pick(label), {
-          role: "radio",
-          "aria-checked": String(label === picker.label),
-          "data-testid": `class-${label}`,
-        });
-      }),
-      iconButton("edit", "Change the classes and attributes", () => editClasses(app, project), {
-        "data-testid": "edit-classes",
-      }),
-    );
+    if (classes().length) buttons.show(label());
   }
 
   function pick(/** @type {string} */ name) {
@@ -38,13 +24,11 @@ export function createClassPicker(/** @type {HTMLElement} */ host, /** @type {Mo
     show();
   }
 
-  const picker = {
-    /** The class that was picked, or that of the box that was selected last; the first one if it was removed. */
+  return {
     get label() {
-      return picked !== null && classes().includes(picked) ? picked : classes()[0];
+      return label();
     },
     pick,
     show,
   };
-  return picker;
 }

@@ -24,7 +24,7 @@ const LABEL_ELSEWHERE =
  * @param {ReturnType<typeof import("./ortho_views.js").createOrthoViews>} parts.ortho
  * @param {Teach} parts.teach
  * @param {ReturnType<typeof import("./map.js").createMap>} parts.map
- * @param {ReturnType<typeof import("./class_picker.js").createClassPicker>} parts.picker
+ * @param {ReturnType<typeof import("./class_picker.js").createNextClass>} parts.picker
  * @param {HTMLElement} parts.root
  */
 export function createCommands(app, { desk, queue, opening, follow, image, ortho, teach, map, picker, root }) {
@@ -233,8 +233,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
       app.toast(frame.finalised ? "The frame is reopened." : "The frame is finalised.", "good");
   }
 
-  function setClass(/** @type {string} */ key) {
-    const name = app.state.project.classes[Number(key) - 1];
+  function setClass(/** @type {string | null | undefined} */ name) {
     if (!name) return;
     picker.pick(name);
     if (image.setClass(name) || teach.setClass(name)) return;
@@ -251,13 +250,15 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
   /** Draws a new box on the image, or stops that. */
   const draw = () => (image.isDrawing || !canDraw() ? image.draw(null) : image.drawUsual());
 
-  const flip = () => desk.shown && desk.edit({ box: headingTurned(desk.shown.box) });
+  /** Turns the selected box by so many quarters. */
+  const turn = (/** @type {number} */ quarters) =>
+    desk.shown && desk.edit({ box: headingTurned(desk.shown.box, quarters) });
 
   return {
     decide,
     acceptAll,
     refit,
-    flip,
+    turn,
     canDraw,
     draw,
     fitDrawn,

@@ -8,7 +8,7 @@
  * `DeskEvent`.
  */
 
-import { copyBox, sameBox } from "../box3d.js";
+import { copyBox, fillSame, sameBox } from "../box3d.js";
 import { count } from "../dom.js";
 import { isStale, isTrackTaken, messageOf } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
@@ -237,12 +237,12 @@ export function createDesk(/** @type {App} */ app) {
     draft.sending = wanted;
     const { label, box, track_id } = wanted;
     const before = stored(id);
-    // another track id does not change the box, so its review stays valid; a corrected box is that of the whole object
+    // another track id does not change the box, so its review stays valid; a corrected box is that of the whole object, a turned one is the same
     const isTrackOnly = before && before.label === label && sameBox(before.box, box);
     /** @type {Change} */
     const change = isTrackOnly
       ? { kind: "track", uid: id, track_id }
-      : { kind: "edit", uid: id, label, box, track_id, box_kind: before && sameBox(before.box, box) ? null : "box" };
+      : { kind: "edit", uid: id, label, box, track_id, box_kind: before && fillSame(before.box, box) ? null : "box" };
     const error = await send([change], id);
     if (!error && before && !former.has(id) && !sameBox(before.box, box)) former.set(id, copyBox(before.box));
     if (draft.sending === wanted) draft.sending = null;
@@ -327,6 +327,7 @@ export function createDesk(/** @type {App} */ app) {
         doubt: null,
         attributes: {},
         kept: false,
+        heading_beside: null,
       };
       added.set(uid, { label, image_box, found: fit.box, actions: 1, problem: null, sending: null });
       notify("selection");

@@ -1,13 +1,8 @@
 /** How a 3D box is drawn on the image: its colour, its outline, its heading, and a text. */
 
 import { imageHeading, outline } from "../camera.js";
-
-/**
- * Colours by state: visible on dark and light pictures, and the same as in the 3D view.
- *
- * @type {Record<Api.ReviewState, string>}
- */
-export const STATE_COLORS = { proposed: "#f0ad4e", accepted: "#5fca85", edited: "#6aaef5", rejected: "#9aa1ad" };
+import { STATE_COLORS } from "../colors.js";
+import { jumpText } from "../heading_mark.js";
 
 /** Characters of the values at a box on the image. */
 const MOST_VALUES = 40;
@@ -34,7 +29,18 @@ function selectedTag(/** @type {PageLabel} */ label, /** @type {string} */ value
  */
 export function imageOverlay(camera, label, { selected, box, color = STATE_COLORS[label.state], values = "" }) {
   const segments = box ? outline(camera, box) : label.outline;
-  const tag = selected ? selectedTag(label, values) : shortName(label);
-  const heading = imageHeading(camera, box ?? label.box);
-  return { id: label.uid, segments, heading, color, dash: label.state === "rejected", strong: selected, tag };
+  const seen = box ?? label.box;
+  const jump = jumpText({ ...label, box: seen });
+  const tag = [selected ? selectedTag(label, values) : shortName(label), jump].filter(Boolean).join(" · ");
+  const heading = imageHeading(camera, seen);
+  return {
+    id: label.uid,
+    segments,
+    heading,
+    color,
+    dash: label.state === "rejected",
+    strong: selected,
+    tag,
+    wrong: jump !== "",
+  };
 }

@@ -2,6 +2,7 @@
 
 import { MIN_SIZE_M, anglesDeg, copyBox, withAnglesDeg } from "../box3d.js";
 import { button, count, h, leaveField, patch } from "../dom.js";
+import { jumpText } from "../heading_mark.js";
 import { OWN } from "./queue.js";
 
 const CENTER = [
@@ -28,6 +29,8 @@ export function createFields(
 ) {
   /** @type {Record<string, HTMLInputElement>} */
   const inputs = {};
+  /** @type {Record<string, HTMLElement>} */
+  const names = {};
   /**
    * The field that is being typed in.
    *
@@ -36,7 +39,7 @@ export function createFields(
   let typed = null;
   /** @type {string | null} */
   let shownUid = null;
-  const title = h("h2", { class: "ellipsis" });
+  const title = h("h2", { class: "ellipsis" }, "Box");
   const chip = h("span", { class: "chip", "data-testid": "label-state" });
   const facts = h("dl", { class: "facts", "data-testid": "label-facts" });
   const problem = h("div", {
@@ -52,7 +55,7 @@ export function createFields(
     { class: "empty" },
     h("p", {}, "No box is selected. Press Tab for the next one, or click a box on the image or in the 3D view."),
   );
-  host.replaceChildren(h("header", {}, title, h("span", { class: "grow" }), chip), problem, nothing, form);
+  host.replaceChildren(h("header", {}, title, h("span", { class: "grow" }), chip), problem, form, nothing);
 
   function number(
     /** @type {string} */ name,
@@ -83,7 +86,8 @@ export function createFields(
       },
     });
     inputs[name] = input;
-    return h("label", { class: "number-field" }, h("span", {}, label), input, h("span", { class: "unit" }, unit));
+    names[name] = h("span", {}, label);
+    return h("label", { class: "number-field" }, names[name], input, h("span", { class: "unit" }, unit));
   }
 
   // Typing changes the box on the screen; leaving the field or pressing Enter saves that as one edit.
@@ -237,6 +241,9 @@ export function createFields(
       put(`size-${name}`, label.box.size[i], 3);
     });
     for (const [name] of ANGLES) put(name, turn[name], 1);
+    const jump = jumpText(label);
+    names.yaw.textContent = jump || "yaw";
+    names.yaw.className = jump ? "bad" : "";
     if (![...choice.options].some(({ value }) => value === label.label))
       choice.append(h("option", { value: label.label }, label.label));
     choice.value = label.label;
@@ -254,39 +261,30 @@ function group(/** @type {string} */ name, /** @type {Node[]} */ fields) {
 const percent = (/** @type {number | null | undefined} */ value) =>
   value === null || value === undefined ? "–" : `${(100 * value).toFixed(0)} %`;
 
+/** The same facts of every box, in the same places; what only some boxes have comes after them. */
 function describe(/** @type {PageLabel} */ label) {
+  const { quality, measured_by: measured, suggestion } = label;
   const rows = [
     ["Points", label.points.toLocaleString("en"), "in the stored box"],
     ["Score", label.score === null ? "–" : label.score.toFixed(2), scorer(label)],
     ["Created by", label.source === "auto" ? "proposal" : label.source, "who created the box"],
     ["Changed by", label.author, "who changed it last"],
+    ["Doubt", percent(label.doubt), "sets the 'Most doubtful first' order of the queue"],
+    ["Unsure", percent(quality?.expected_iou_loss), "expected 1 - IoU with the true box, from how well the views fit"],
+    ["Disagree", percent(quality?.view_disagreement), "how much the views' measurements differ, of the box's size"],
+    ["Kept", percent(quality?.kept_share), "share of the last view's points that are in the box"],
+    ["Last step", percent(quality?.last_change), "how much the last step changed the box"],
   ];
-  if (label.doubt !== null)
-    rows.push(["Doubt", percent(label.doubt), "sets the 'Most doubtful first' order of the queue"]);
-  if (label.quality) {
-    rows.push([
-      "Disagree",
-      percent(label.quality.view_disagreement),
-      "difference between the views' measurements, as a share of the box's size",
-    ]);
-    rows.push(["Kept", percent(label.quality.kept_share), "share of the last view's points that are in the box"]);
-    if (label.quality.expected_iou_loss !== null) {
-      const loss = percent(label.quality.expected_iou_loss);
-      rows.push(["Unsure", loss, "expected 1 - IoU with the true box, from how well the views' measurements fit"]);
-    }
-    rows.push(["Last step", percent(label.quality.last_change), "how much the last step changed the box"]);
-  }
   const facts = rows.map(([name, value, help]) =>
-    h("div", { title: `${name}: ${help}` }, h("dt", {}, name), h("dd", { class: "number ellipsis" }, value)),
+    h("div", { title: `${name}: ${value}, ${help}` }, h("dt", {}, name), h("dd", { class: "number ellipsis" }, value)),
   );
-  const { measured_by: measured, suggestion } = label;
   const wide = [];
   if (measured) wide.push(["Measured by", measured]);
   if (suggestion)
     wide.push(["Suggested by", `${suggestion.detector}${suggestion.corrected ? " (partly drawn or corrected)" : ""}`]);
   if (label.kept) wide.push(["Stays", "until it is reviewed: attributes were set by hand"]);
   if (label.said.length) wide.push(["Said by", label.said.map(words).join(", ")]);
-  return [...wide.map(([name, who]) => h("div", { class: "wide" }, h("dt", {}, name), h("dd", {}, who))), ...facts];
+  return [...facts, ...wide.map(([name, who]) => h("div", { class: "wide" }, h("dt", {}, name), h("dd", {}, who)))];
 }
 
 /** Whose score a label has: of several sources, that of the shown box. */

@@ -100,7 +100,8 @@ export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
       run.state
     ].concat(` ${how}`);
     title.title = title.textContent;
-    stop.hidden = bar.hidden = !isRunning;
+    stop.hidden = !isRunning;
+    bar.style.visibility = isRunning ? "visible" : "hidden";
     close.hidden = isRunning;
     bar.value = run.total > 0 ? run.done / run.total : 1;
     patch(
@@ -176,12 +177,10 @@ function trackRow(track, end, open) {
   const name = track.track_id === null ? track.label : `Track ${track.track_id} (${track.label})`;
   const left = track.doubtful > 0 ? `, ${count(track.doubtful, "doubtful frame")} left out` : "";
   const text = h("span", { class: "grow" }, `${name}: ${count(track.boxes, "box", "boxes")}${left}${end}`);
-  if (track.track_id !== null) {
-    // the colours of tracks are too light for text
-    const dot = h("span", { class: "dot" });
-    dot.style.background = trackColor(track.track_id);
-    text.prepend(dot);
-  }
+  // the colours of tracks are too light for text
+  const dot = h("span", { class: "dot" });
+  dot.style.background = trackColor(track.track_id);
+  text.prepend(dot);
   return h(
     "li",
     { "data-testid": "followed" },

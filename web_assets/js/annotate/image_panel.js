@@ -24,10 +24,10 @@ const LEAST_DRAG = 8;
  * @param {() => void} parts.onMode called when drawing begins or ends.
  * @param {() => boolean} parts.canDraw whether the frame can get a new box.
  * @param {() => string} parts.nextClass of the next box.
+ * @param {HTMLElement} parts.hint the line for what to do.
  */
-export function createImagePanel(host, app, desk, { teach, onDrawn, onMode, canDraw, nextClass }) {
+export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode, canDraw, nextClass }) {
   const title = h("h2", { class: "ellipsis" }, "Image");
-  const note = h("span", { class: "muted ellipsis", role: "status", "data-testid": "image-note" });
   const withRejected = h("input", { type: "checkbox", onchange: show, "data-testid": "show-rejected" });
   const byTrack = h("input", { type: "checkbox", onchange: colorAnew, "data-testid": "color-by-track" });
   byTrack.checked = localStorage.getItem("color-by-track") === "true";
@@ -37,7 +37,6 @@ export function createImagePanel(host, app, desk, { teach, onDrawn, onMode, canD
       "header",
       {},
       title,
-      note,
       h("span", { class: "grow" }),
       h("label", { class: "row", title: "Colour boxes by track, not by state" }, byTrack, "tracks"),
       h("label", { class: "row" }, withRejected, "rejected"),
@@ -103,13 +102,13 @@ export function createImagePanel(host, app, desk, { teach, onDrawn, onMode, canD
       void editor.setPicture(null);
       editor.setBoxes([]);
       editor.setOverlays([]);
-      note.textContent = "";
+      hint.textContent = "";
       return;
     }
     const { url, width, height } = frame.image;
     const camera = cameraOf(frame.image);
     void editor.setPicture(url, width, height);
-    note.textContent = noteOf(frame);
+    hint.textContent = noteOf(frame);
     const selected = desk.shown;
     const others = desk
       .labels()

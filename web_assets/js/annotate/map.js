@@ -6,10 +6,11 @@
 
 import { boxAxis, copyBox, corners, toView, turned } from "../box3d.js";
 import { cameraOf } from "../camera.js";
+import { STATE_COLORS } from "../colors.js";
 import { button, h, s } from "../dom.js";
 import { hull, isInHull } from "../editor2d/geometry.js";
 import { add, cross, dot, length, scale, subtract } from "../rotation.js";
-import { shortName, STATE_COLORS } from "./drawing.js";
+import { shortName } from "./drawing.js";
 
 /** The part that is looked at is drawn after so long a rest, ms. */
 const REST_MS = 60;

@@ -365,3 +365,23 @@ export function removal(/** @type {Item} */ item, /** @type {() => Api.BoxKind} 
     mine: () => ({ text: [`Deletes this ${image_box.label}`], boxes: [image_box], outlines: [] }),
   };
 }
+
+/**
+ * Changes the kind of all boxes of the frame: what they enclose.
+ *
+ * @returns {FrameChange}
+ */
+export function kindChange(/** @type {Api.BoxKind} */ kind) {
+  return {
+    path: ["changes"],
+    body: (state) => ({
+      subject: null,
+      changes: [{ kind: "image_boxes", boxes: (state.image_boxes?.boxes ?? []).map(plainBox), box_kind: kind }],
+    }),
+    mine: () => ({
+      text: [kind === "box" ? "All boxes enclose the whole object" : "All boxes enclose the visible part"],
+      boxes: [],
+      outlines: [],
+    }),
+  };
+}

@@ -7,6 +7,7 @@
 import {
   boxAxis,
   copyBox,
+  headingJump,
   sameBox,
   turnedInView,
   viewHeading,
@@ -14,11 +15,11 @@ import {
   viewRect,
   withViewRect,
 } from "../box3d.js";
+import { STATE_COLORS } from "../colors.js";
 import { h } from "../dom.js";
 import { createEditor } from "../editor2d/editor.js";
 import { isAborted, messageOf } from "../errors.js";
 import { dot } from "../rotation.js";
-import { STATE_COLORS } from "./drawing.js";
 
 export const SIZE_PX = 320;
 const TITLES = { top: "Top", front: "Front", side: "Right side" };
@@ -220,6 +221,7 @@ function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
     heading: viewHeading(plane, box),
     color: color(),
     strong: true,
+    wrong: desk.shown !== null && headingJump(desk.shown) !== null,
   });
 
   function follow() {

@@ -3,6 +3,7 @@
 import { valuesText } from "../attributes.js";
 import { button, count, h, iconButton, patch } from "../dom.js";
 import { isAborted } from "../errors.js";
+import { headingMark } from "../heading_mark.js";
 import { isOpen } from "./desk.js";
 import { shortName } from "./drawing.js";
 import { summary } from "./fields.js";
@@ -11,14 +12,14 @@ import { ORDERS, OWN } from "./queue.js";
 import { makeHash } from "../router.js";
 import { createValueFilter, refill } from "./value_filter.js";
 
-/** Rows of the queue that are shown around the current one. */
-const ROWS = 120;
+/** Rows of the queue that are shown around the current one; others come and go in such numbers. */
+const [ROWS, STEP] = [120, 60];
 
 export function createQueueList(
   /** @type {HTMLElement} */ host,
   /** @type {ModeApp} */ app,
   /** @type {Queue} */ queue,
-  /** @type {{ open: (target: Target) => unknown }} */ { open },
+  /** @type {{ open: (target: Target) => unknown }} */ { open: go },
 ) {
   /** @type {HTMLSelectElement} */
   const order = h(
@@ -47,6 +48,12 @@ export function createQueueList(
   const list = h("ol", { class: "rows", "data-testid": "queue" });
   /** @type {string | null} */
   let current = null;
+  /**
+   * The rows as they stand: what is reviewed keeps its place and what is new comes last, so that nothing moves.
+   *
+   * @type {QueueItem[]}
+   */
+  let standing = [];
   fill();
   order.value = queue.order;
   host.replaceChildren(
@@ -71,7 +78,8 @@ export function createQueueList(
   ) {
     // so that Space and the digits are keys of the mode again
     select?.blur();
-    queue.choose(changes).then(() => queue.items[0] && open(queue.items[0]), app.toast);
+    standing = [];
+    queue.choose(changes).then(() => queue.items[0] && go(queue.items[0]), app.toast);
   }
 
   /** Offers the sources of the proposals, once there are any but annotator itself. */
@@ -121,10 +129,16 @@ export function createQueueList(
       left.textContent = count(queue.remaining, queue.order === "teach" ? "frame" : "proposal");
       const frame = app.state.frame?.frame.id;
       const isShown = (/** @type {QueueItem} */ item) => (item.uid === null ? item.frame === frame : item.uid === uid);
-      const at = Math.max(0, queue.items.findIndex(isShown));
-      const from = Math.max(0, Math.min(at - ROWS / 2, queue.items.length - ROWS));
+      const open = new Set(queue.items.map(keyOf));
+      const known = new Set(standing.map(keyOf));
+      const fresh = queue.items.filter((item) => !known.has(keyOf(item)));
+      standing = standing.some((item) => open.has(keyOf(item))) ? [...standing, ...fresh] : queue.items;
+      const at = standing.findIndex(isShown);
+      const from = Math.max(0, STEP * Math.floor((at - STEP / 2) / STEP));
       const recordings = new Map((app.state.project?.recordings ?? []).map(({ id, name }) => [id, name]));
-      const rows = queue.items.slice(from, from + ROWS).map((item) => queueRow(item, recordings, isShown(item), open));
+      const rows = standing
+        .slice(from, from + ROWS)
+        .map((item) => queueRow(item, recordings, { isCurrent: isShown(item), isDone: !open.has(keyOf(item)) }, go));
       patch(list, rows.length > 0 ? rows : h("li", { class: "muted pad" }, ...nothing()));
       // not again, so that an operator who looks elsewhere in the list is left there
       if (uid !== current) list.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
@@ -133,17 +147,19 @@ export function createQueueList(
   };
 }
 
+const keyOf = (/** @type {QueueItem} */ item) => item.uid ?? `frame ${item.frame}`;
+
 function queueRow(
   /** @type {QueueItem} */ item,
   /** @type {Map<number, string>} */ recordings,
-  /** @type {boolean} */ isCurrent,
+  /** @type {{ isCurrent: boolean, isDone: boolean }} */ { isCurrent, isDone },
   /** @type {(target: Target) => unknown} */ open,
 ) {
   const isOurs = item.sources.every((name) => name === OWN);
   const place = `${recordings.size > 1 ? `${recordings.get(item.recording) ?? ""} ` : ""}${item.key}`;
   return h(
     "li",
-    { "data-key": item.uid ?? `frame ${item.frame}` },
+    { "data-key": keyOf(item) },
     button(
       [
         h("span", { class: "ellipsis grow" }, item.label ?? "draw"),
@@ -153,10 +169,10 @@ function queueRow(
       ],
       () => open(item),
       {
-        class: "quiet row-button",
+        class: isDone ? "quiet row-button done" : "quiet row-button",
         "aria-current": isCurrent ? "true" : null,
-        title: `${item.label ?? "Nothing is drawn yet"}, frame ${place}${isOurs ? "" : `, seen by ${item.sources.join(", ")}`}`,
-        "data-testid": "queue-item",
+        title: `${isDone ? "reviewed: " : ""}${item.label ?? "Nothing is drawn yet"}, frame ${place}${isOurs ? "" : `, seen by ${item.sources.join(", ")}`}`,
+        "data-testid": isDone ? "queue-done" : "queue-item",
         "data-uid": item.uid,
       },
     ),
@@ -190,17 +206,26 @@ export function createBoxList(
   /** @type {() => Teach} */ teach,
 ) {
   const title = h("h2", {}, "In this frame");
-  const note = h("p", { class: "muted pad", "data-testid": "frame-summary" });
+  const note = h("p", { class: "muted pad ellipsis", "data-testid": "frame-summary" });
   const list = h("ul", { class: "rows", "data-testid": "frame-boxes" });
   /** @type {Map<string, string>} */
   let pictures = new Map();
   let known = "";
+  /**
+   * The frame whose rows have pictures.
+   *
+   * @type {number | null}
+   */
+  let pictured = null;
   let request = new AbortController();
   host.replaceChildren(h("header", {}, title), note, list);
 
   function draw() {
     const labels = desk.labels();
-    const hasPictures = labels.filter(isOpen).length > 1;
+    // once there, their places stay until another frame is shown
+    const frame = app.state.frame?.frame.id ?? null;
+    if (labels.filter((label) => isOpen(label) && !label.isNew).length > 1) pictured = frame;
+    const hasPictures = pictured === frame;
     patch(
       list,
       labels.map((label) => boxRow(app, label, desk, hasPictures ? (pictures.get(label.uid) ?? "") : null)),
@@ -230,7 +255,7 @@ export function createBoxList(
 
   return {
     show() {
-      note.textContent = summary(desk.labels());
+      note.textContent = note.title = summary(desk.labels());
       draw();
       void readPictures();
     },
@@ -254,8 +279,10 @@ function boxRow(app, label, desk, picture) {
       [
         h("span", { class: `dot state-${label.state}`, "aria-hidden": "true" }),
         h("span", { class: "ellipsis grow" }, shortName(label)),
+        headingMark(desk.seen(label), app.state.frame?.up ?? null),
         h("span", { class: problem ? "bad" : `state-${label.state}` }, state),
-        picture && label.state !== "rejected" ? h("img", { src: picture, alt: "", class: "small-views" }) : null,
+        picture !== null &&
+          (picture ? h("img", { src: picture, alt: "", class: "small-views" }) : h("span", { class: "small-views" })),
       ],
       () => desk.select(label.uid),
       {

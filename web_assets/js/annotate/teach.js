@@ -10,11 +10,12 @@
  */
 
 import { cameraOf, imageHeading, outline } from "../camera.js";
+import { STATE_COLORS } from "../colors.js";
 import { count } from "../dom.js";
 import { currentFrame } from "../frame_state.js";
 import { createAsk, createStepLoader, filledBoxes } from "./draft.js";
 import { itemsOf, makeItem, naming, overlap, plainBox, relabelItem, sameBox, sameItem, secondAxes } from "./items.js";
-import { createObjects, isFinished } from "./objects.js";
+import { createObjects, isFinished, kindChange } from "./objects.js";
 import { createSaveProblem, createSaver } from "./saver.js";
 import { createSuggester, createWholeBoxes } from "./suggestions.js";
 import { createViewsPane, hintFor } from "./views_pane.js";
@@ -22,7 +23,6 @@ import { createViewsPane, hintFor } from "./views_pane.js";
 const BUSY_WAIT_MS = 300;
 /** IoU above which a detected box and that of an object are the same object. */
 const SAME_OBJECT = 0.4;
-const PREVIEW_COLOR = "#ff5d8f";
 
 /**
  * @param {HTMLElement} host
@@ -46,7 +46,7 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
       return Boolean(app.state.frame?.frame.finalised);
     },
     get kind() {
-      return app.state.frame?.image_boxes?.box_kind ?? "silhouette";
+      return app.state.frame?.image_boxes?.box_kind ?? app.state.project.settings.box_kind;
     },
   };
   /** @type {number | null} */
@@ -71,6 +71,7 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
     onBox: (...change) => objects.setViewBox(...change),
     onClear: (...change) => objects.clearViewBox(...change),
     onAcceptAll: accept,
+    onKind: setKind,
     newLabel: () => work.draft?.item.image_box.label ?? "",
   });
   const objects = createObjects(app, work, {
@@ -201,6 +202,7 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
   function show() {
     problem.show();
     views.setReadonly(work.isReadonly);
+    views.showKind(work.kind, work.isReadonly);
     views.show(isOn ? work.draft : null);
     onChange();
   }
@@ -248,7 +250,7 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
   function overlays() {
     const { draft } = work;
     const lines = [];
-    const look = { color: PREVIEW_COLOR, dash: true, strong: true };
+    const look = { color: STATE_COLORS.proposed, dash: true, strong: true };
     if (isOn && draft?.outline && !isFinished(draft.item) && !draft.item.found)
       lines.push({ segments: draft.outline, ...look });
     const offered = whole.offered();
@@ -292,6 +294,19 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
     Boolean(work.draft && (work.draft.changes > 0 || !(work.draft.item.found ?? work.draft.item.uid)));
 
   const canAccept = () => (isOwn() && Boolean(work.draft?.suggestions.some(Boolean))) || Boolean(whole.offered());
+
+  /** What boxes enclose belongs to the project; the boxes of this frame become boxes of this kind. */
+  function setKind(/** @type {Api.BoxKind} */ kind) {
+    const { project } = app.state;
+    if (kind !== project.settings.box_kind) {
+      app.state.set({ project: { ...project, settings: { ...project.settings, box_kind: kind } } });
+      app.api.put(app.path("box-kind"), { box_kind: kind }).catch(app.toast);
+    }
+    const known = app.state.frame?.image_boxes;
+    if (known?.boxes.length && known.box_kind !== kind && !work.isReadonly) saver.save(kindChange(kind));
+    void objects.askAgain();
+    show();
+  }
 
   function rename(/** @type {Record<string, string>} */ renamed) {
     const named = naming(renamed);
@@ -340,7 +355,6 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
     rename,
     refresh,
     nextWhole: () => whole.next(),
-    askAgain: () => objects.askAgain(),
 
     /** A box was drawn on the image for a new object, in which nothing was found, or which is to be drawn. */
     draw(/** @type {Box2D} */ box) {

@@ -100,7 +100,10 @@ export function createTracks(
     const frames = new Set(known.boxes.filter(({ state }) => state !== "rejected").map(({ frame }) => frame)).size;
     title.textContent = `Track ${id} (${frames})`;
     title.title = `In ${count(frames, "frame")} of this recording`;
-    title.style.color = trackColor(id);
+    // the colours of tracks are too light for text
+    const dot = h("span", { class: "dot" });
+    dot.style.background = trackColor(id);
+    title.prepend(dot);
     alike.disabled = desk.formerBox(label.uid) === null;
     fill.disabled = label.state !== "accepted" && label.state !== "edited";
     patch(

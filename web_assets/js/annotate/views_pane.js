@@ -17,6 +17,12 @@ const VIEWS = [
   ["Object, side", "view-side-2"],
 ];
 
+/** @type {[Api.BoxKind, string, string][]} */
+const KINDS = [
+  ["silhouette", "Visible part", "Boxes enclose the visible part of the object."],
+  ["box", "Whole object", "Boxes enclose the whole object, hidden parts included."],
+];
+
 /**
  * @typedef {object} Pane
  * @property {Editor} editor
@@ -32,9 +38,10 @@ const VIEWS = [
  *     box was set on view `index` (0 to 3).
  * @param {(index: number, actions: number) => void} listeners.onClear called when a view's box was deleted.
  * @param {() => boolean} listeners.onAcceptAll accepts all suggested boxes.
+ * @param {(kind: Api.BoxKind) => void} listeners.onKind called with what the boxes are to enclose.
  * @param {() => string} listeners.newLabel
  */
-export function createViewsPane(app, { onBox, onClear, onAcceptAll, newLabel }) {
+export function createViewsPane(app, { onBox, onClear, onAcceptAll, onKind, newLabel }) {
   const panes = VIEWS.map(([name, testid], index) => makePane(name, testid, index));
   const messages = [0, 1].map((step) =>
     h("p", { class: "views-message", role: "status", "data-testid": step ? "views-message-2" : "views-message" }),
@@ -45,13 +52,23 @@ export function createViewsPane(app, { onBox, onClear, onAcceptAll, newLabel }) 
     "data-testid": "accept-all",
   });
   const source = h("p", { class: "muted views-source", role: "status", "data-testid": "views-source" });
+  const kinds = KINDS.map(([kind, text, title]) =>
+    button(text, () => onKind(kind), { role: "radio", title, "aria-checked": "false", "data-testid": `kind-${kind}` }),
+  );
   const pairs = [0, 1].map((step) =>
     h("div", { class: "pair" }, panes[2 * step].element, panes[2 * step + 1].element, messages[step]),
   );
   const root = h(
     "section",
     { class: "panel views", "aria-label": "Pseudo-views" },
-    h("header", {}, h("h2", { class: "grow" }, "Views"), accept),
+    h(
+      "header",
+      {},
+      h("h2", {}, "Pseudo-views"),
+      h("div", { class: "segments", role: "radiogroup", "aria-label": "What boxes enclose" }, kinds),
+      h("span", { class: "grow" }),
+      accept,
+    ),
     h("div", { class: "pairs" }, pairs),
     source,
   );
@@ -80,12 +97,11 @@ export function createViewsPane(app, { onBox, onClear, onAcceptAll, newLabel }) 
     const views = draft?.steps.flatMap((step) => step.views) ?? [];
     const canAccept = draft && !draft.isLoading && draft.suggestions.some(Boolean);
     accept.hidden = !(canAccept && filledBoxes(draft).every(Boolean));
-    source.textContent = sourceOf(draft);
+    source.textContent = source.title = sourceOf(draft);
     pairs.forEach((pair, step) => {
       const text = viewsMessage(draft, step);
       messages[step].textContent = text ?? "";
       pair.classList.toggle("has-views", text === null);
-      pair.hidden = text === "";
     });
     panes.forEach(({ editor, caption, name }, index) => {
       const view = views[index] ?? null;
@@ -103,6 +119,12 @@ export function createViewsPane(app, { onBox, onClear, onAcceptAll, newLabel }) 
     root,
     show,
     editors,
+    showKind(/** @type {Api.BoxKind} */ kind, /** @type {boolean} */ isReadonly) {
+      KINDS.forEach(([name], i) => {
+        kinds[i].setAttribute("aria-checked", String(name === kind));
+        kinds[i].disabled = isReadonly;
+      });
+    },
     setReadonly(/** @type {boolean} */ value) {
       for (const editor of editors) editor.setReadonly(value);
     },

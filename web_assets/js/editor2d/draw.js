@@ -154,11 +154,16 @@ function drawOverlay(/** @type {Overlay} */ overlay, /** @type {View} */ view) {
   return group;
 }
 
+/** Of a heading that cannot be right. */
+const WRONG = "#ff5a4f";
+
 /** An arrow that is never too small to be seen. End on, it is a ring with its point (a dot) or its tail (a cross). */
-function drawHeading(/** @type {Arrow} */ arrow, /** @type {Overlay} */ { color, strong }, /** @type {View} */ view) {
+function drawHeading(/** @type {Arrow} */ arrow, /** @type {Overlay} */ overlay, /** @type {View} */ view) {
+  const { strong, wrong } = overlay;
+  const color = wrong ? WRONG : overlay.color;
   const [from, end] = [view.toWindow(arrow.from), view.toWindow(arrow.to)];
   const reach = Math.hypot(end[0] - from[0], end[1] - from[1]);
-  const group = s("g", { class: "heading", "data-testid": "heading" });
+  const group = s("g", { class: "heading", "data-testid": wrong ? "wrong-heading" : "heading" });
   const stroke = (/** @type {string} */ d) => {
     group.append(s("path", { class: "halo", d }), s("path", { d, stroke: color, "stroke-width": strong ? 2.2 : 1.6 }));
   };
