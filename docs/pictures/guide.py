@@ -201,7 +201,7 @@ def follow(page: Page) -> None:
     click(page, "mode-review")
     page.get_by_test_id("frame-box").first.wait_for()
     page.wait_for_timeout(SETTLED_MS)
-    page.keyboard.press("l")
+    page.keyboard.press("j")
     page.get_by_test_id("follow").locator("xpath=self::*[not(@data-state='running')]").wait_for()
     page.get_by_test_id("ortho-side").locator("rect.line").wait_for()
     wait_for_3d(page)

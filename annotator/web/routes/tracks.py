@@ -53,7 +53,7 @@ class LaneJson(Schema):
     """A track (null: boxes without one) and its spans as in `annotator.project.lanes`."""
 
     track_id: int | None
-    spans: list[tuple[int, int, str | None, int]]
+    spans: tuple[tuple[int, int, str | None, int], ...]
 
 
 class LanesJson(Schema):
@@ -63,7 +63,7 @@ class LanesJson(Schema):
     """
 
     recording: int
-    frames: list[int]
+    frames: tuple[int, ...]
     lanes: list[LaneJson]
     pictures: str
 
@@ -115,7 +115,7 @@ def tracks(at: AtProject, recording_id: RowId) -> Response:
     stored, lanes = at.project.recordings.get(recording_id), read_lanes(at.project.store, recording_id)
     found = LanesJson.model_construct(
         recording=recording_id,
-        frames=list(lanes.frames),
+        frames=lanes.frames,
         lanes=[LaneJson.of(lane) for lane in lanes.lanes],
         pictures=picture_version(at.project, recording_id, stored.name, "", stored.adjusted),
     )

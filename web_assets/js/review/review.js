@@ -16,7 +16,7 @@ import { createDesk, isOpen } from "./desk.js";
 import { createFields } from "./fields.js";
 import { createFollow } from "./follow.js";
 import { createImagePanel } from "./image_panel.js";
-import { createOpening } from "./opening.js";
+import { createOpening, trackIn } from "./opening.js";
 import { createOrthoViews } from "./ortho_views.js";
 import { createPreload } from "./preload.js";
 import { createQueue } from "./queue.js";
@@ -82,7 +82,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       if (desk.labels().some(isOpen)) opening.pick(null);
       else void goInQueue(target);
     },
-    onProgress: () => tracks.refresh(),
   });
   const image = createImagePanel(parts.image, app, desk, {
     onDrawn: (box) => commands.fitDrawn(box),
@@ -156,7 +155,9 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     boxList.show();
     fields.show();
     attributes.show();
-    void tracks.show();
+    tracks.show();
+    const track = desk.stored()?.track_id ?? null;
+    if (track !== app.state.track) app.state.set({ track });
     showQueue();
     // not the old frame again while the next one is being opened
     if (!opening.loading) scene.show();
@@ -173,6 +174,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
         ortho.follow();
         fields.show();
         attributes.show();
+        tracks.show();
         scene.preview();
         if (!desk.hasDraft) void ortho.show();
       } else {
@@ -222,13 +224,14 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
 
   return {
     route(/** @type {Route} */ { frame, query }) {
-      const uid = query.get("uid");
+      const [uid, track] = [query.get("uid"), trackIn(query)];
       if (frame === null) void opening.begin().catch(app.toast);
       else if (frame !== opening.opened && frame !== opening.broken)
-        void opening.open(frame, uid).then((isOpen) => {
+        void opening.open(frame, uid, track).then((isOpen) => {
           if (isOpen === false && opening.opened !== null) app.stay(opening.opened);
         });
       else if (uid) desk.select(uid);
+      else if (track !== null) opening.pick(null, track);
     },
     unsaved: () => desk.unsaved && { ...desk.unsaved, retry: desk.retryAll, discard: desk.discardAll },
     async flush() {
