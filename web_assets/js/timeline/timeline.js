@@ -206,6 +206,7 @@ export function mountTimeline(/** @type {HTMLElement} */ root, /** @type {App} *
     const [low, high] = [Math.ceil(stretch.first), Math.floor(stretch.first + stretch.count) - 1];
     Object.assign(slider, { min: String(low), max: String(high), disabled: total() < 2 });
     if (sliding === null && now >= 0) slider.value = String(now);
+    slider.classList.toggle("away", place < low || place > high);
     slider.style.marginLeft = `${xOf(low + 0.5) - NAMES - KNOB}px`;
     slider.style.width = `${(high - low) * perPlace() + 2 * KNOB}px`;
     all.disabled = stretch.count >= total();
@@ -222,18 +223,16 @@ export function mountTimeline(/** @type {HTMLElement} */ root, /** @type {App} *
       strip,
       shown.map(({ place, first, last }) => {
         const url = timeline?.picture(timeline.frames[place]) ?? "";
-        const cell = h(
-          "button",
-          {
-            type: "button",
-            tabindex: -1,
-            "data-key": String(place),
-            "aria-label": `Frame ${place + 1}`,
-            "aria-current": now >= place && now < last ? "true" : null,
-            onclick: () => go(place),
-          },
-          loader.has(url) ? h("img", { src: url, alt: "" }) : null,
-        );
+        const cell = h("button", {
+          type: "button",
+          tabindex: -1,
+          "data-key": String(place),
+          "aria-label": `Frame ${place + 1}`,
+          "aria-current": now >= place && now < last ? "true" : null,
+          onclick: () => go(place),
+        });
+        // not an image, which would be loaded again for each drawing
+        if (loader.has(url)) cell.style.backgroundImage = `url("${url}")`;
         cell.style.width = `${(last - first) * perPlace()}px`;
         return cell;
       }),
@@ -372,8 +371,8 @@ const partOf = (/** @type {NonNullable<StateValues["span"]>} */ { from, to }, /*
 
 /** Loads small pictures one after the other, while no frame is being opened: the server reads a whole frame for each. */
 function createLoader(/** @type {() => void} */ onLoaded) {
-  /** @type {Set<string>} */
-  const known = new Set();
+  /** Whether there is a picture. @type {Map<string, boolean>} */
+  const known = new Map();
   /** @type {string[]} */
   let wanted = [];
   let isLoading = false;
@@ -394,15 +393,18 @@ function createLoader(/** @type {() => void} */ onLoaded) {
       image.fetchPriority = "low";
       image.src = url;
       // of a frame that cannot be read, there is none; opening the frame says why
-      await image.decode().catch(() => {});
-      known.add(url);
-      onLoaded();
+      const isThere = await image.decode().then(
+        () => true,
+        () => false,
+      );
+      known.set(url, isThere);
+      if (isThere) onLoaded();
     }
     isLoading = false;
   }
 
   return {
-    has: (/** @type {string} */ url) => known.has(url),
+    has: (/** @type {string} */ url) => known.get(url) === true,
     want(/** @type {string[]} */ urls) {
       wanted = urls;
       void load();
