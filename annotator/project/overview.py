@@ -27,6 +27,7 @@ class FramePage:
 
     Attributes:
         frame: the frame; changes are based on its revision.
+        cameras: the frames of its moment, its own included: the frame's id by that of its recording.
         labels: of its moment, in the order of their creation, rejected ones included.
     """
 
@@ -34,6 +35,7 @@ class FramePage:
     previous: int | None
     next: int | None
     recording_name: str
+    cameras: Mapping[int, int]
     labels: tuple[StoredLabel, ...]
     image_boxes: ImageBoxes | None
     view_boxes: tuple[ViewBoxes, ...]
@@ -53,10 +55,11 @@ def read_page(project: Project, frame_id: int) -> FramePage:
             raise NotFoundError(f"the project has no frame with id {frame_id}")
         frame, name = frame_of(row), row.recording_name
         previous, following = row.previous, row.next
+        cameras = {row[0]: row[1] for row in connection.execute(_CAMERAS, {"moment": frame.moment_id})}
         stored = read_stored(connection, frame_id)
         boxes, views = read_image_boxes(connection, frame_id), read_view_boxes(connection, frame_id)
     values = values_of(row.attributes)
-    return FramePage(frame, previous, following, name, stored, boxes, views, values)
+    return FramePage(frame, previous, following, name, cameras, stored, boxes, views, values)
 
 
 def neighbours(project: Project, frame: StoredFrame) -> tuple[int | None, int | None]:
@@ -87,6 +90,11 @@ _HEAD = (
     )
     .join(recordings, recordings.c.id == frames.c.recording_id)
     .where(frames.c.id == bindparam("frame"), recordings.c.removed_ns.is_(None))
+)
+_CAMERAS = (
+    select(frames.c.recording_id, frames.c.id)
+    .where(frames.c.moment_id == bindparam("moment"), frames.c.position.is_not(None))
+    .order_by(frames.c.recording_id)
 )
 
 

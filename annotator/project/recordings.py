@@ -20,7 +20,7 @@ from annotator.project.audit.events import hide_removed
 from annotator.project.database.schema import ALL_LABELS, AnyRow, adjustments, frames, recordings
 from annotator.project.database.store import Store
 from annotator.text import is_within
-from annotator.types import NO_CORRECTION, Correction
+from annotator.types import NO_CORRECTION, Correction, ReviewState
 from annotator.types.errors import NotFoundError, ProjectError, RecordingError
 from annotator.types.messages import alternatives, amount, first_few
 
@@ -83,6 +83,7 @@ class StoredRecording:
         adjusted: id of the event that set `up` and `correction`; 0 = as the recording was added.
         fingerprint: of a frame's content, as it was given when the recording was added; None = not known.
         removed_by: who has removed it from the project; None = nobody.
+        rig_id: the same for the cameras of a rig, which share moments and tracks.
     """
 
     id: int
@@ -98,6 +99,7 @@ class StoredRecording:
     adjusted: int = 0
     fingerprint: str | None = None
     removed_by: str | None = None
+    rig_id: int = 0
 
 
 @dataclass(frozen=True)
@@ -232,10 +234,10 @@ class Recordings:
                 row.id: row.removed_by for row in connection.execute(select(recordings.c.id, recordings.c.removed_by))
             }
 
-    def label_counts(self) -> dict[int, int]:
-        """Numbers of labels by recording id, also of removed recordings."""
+    def label_counts(self, states: Collection[ReviewState] = tuple(ReviewState)) -> dict[int, int]:
+        """Numbers of labels with one of these states by recording id, also of removed recordings."""
         stored = select(frames.c.recording_id, func.count()).join(ALL_LABELS, ALL_LABELS.c.frame_id == frames.c.id)
-        stored = stored.where(ALL_LABELS.c.behind.is_(None))
+        stored = stored.where(ALL_LABELS.c.behind.is_(None), ALL_LABELS.c.state.in_([each.value for each in states]))
         with self.store.read() as connection:
             return {row[0]: row[1] for row in connection.execute(stored.group_by(frames.c.recording_id))}
 

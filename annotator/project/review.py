@@ -121,7 +121,7 @@ def waiting(
     Args:
         source: only of objects that this source sees; `OWN` for annotator itself.
     """
-    doubt = _doubt()
+    doubt = label_doubt()
     is_open = _is_open(recordings, classes)
     if attribute is not None:
         is_open &= attribute.clause()
@@ -164,7 +164,7 @@ def _sources(row: AnyRow) -> tuple[str, ...]:
 
 def worst_of_frames(store: Store, recordings: Collection[int] | None) -> dict[int, float]:
     """The greatest doubt of the open proposals of each frame that has some, by the frame's id; 0 if it is unknown."""
-    worst = func.max(func.coalesce(_doubt(), 0.0))
+    worst = func.max(func.coalesce(label_doubt(), 0.0))
     query = _of_frames(select(labels.c.frame_id, worst)).where(_is_open(recordings, None)).group_by(labels.c.frame_id)
     with store.read() as connection:
         return {row[0]: row[1] for row in connection.execute(query)}
@@ -189,7 +189,7 @@ def _is_said_by(source: str) -> ColumnElement[bool]:
     return labels.c.of_source.is_not_distinct_from(name) | labels.c.uid.in_(behind)
 
 
-def _doubt() -> ColumnElement[float]:
+def label_doubt() -> ColumnElement[float]:
     """1 - product of (1 - MAX_DOUBT * share of the way from good to bad, in 0..1), over the signals with a value."""
     trust: ColumnElement[float] = literal(1.0)
     for name, (good, bad) in SIGNALS.items():

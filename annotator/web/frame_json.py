@@ -109,11 +109,7 @@ def _state(at: InFrame) -> FrameStateJson:
     frame, page = opened.frame, read_page(project, at.frame_id)
     boxes = page.image_boxes
     undo, redo = project.history.next(at.operator)
-    # differs if another project or recording has taken the same name or id
-    place = f"{project.config.created_ns} {page.frame.recording_id} {page.recording_name} {page.frame.key}"
-    version = hashlib.sha256(place.encode()).hexdigest()[:12]
-    # a time offset shows another image; the page ignores this
-    offset = f"&adjusted={opened.adjusted}" if opened.adjusted else ""
+    version = picture_version(project, page.frame.recording_id, page.recording_name, page.frame.key, opened.adjusted)
     return FrameStateJson.model_construct(
         frame=FrameJson.of(
             page.frame,
@@ -121,10 +117,11 @@ def _state(at: InFrame) -> FrameStateJson:
             recording_name=page.recording_name,
             previous=page.previous,
             next=page.next,
+            cameras=dict(page.cameras),
             attributes=dict(page.attributes),
         ),
         image=ImageJson(
-            url=f"/api/projects/{at.name}/frames/{at.frame_id}/image.jpg?v={version}{offset}",
+            url=f"/api/projects/{at.name}/frames/{at.frame_id}/image.jpg?{version}",
             width=frame.camera.width_px,
             height=frame.camera.height_px,
             camera=CameraJson.of(frame.camera),
@@ -139,6 +136,17 @@ def _state(at: InFrame) -> FrameStateJson:
         open_by=at.ctx.hub.open_by(at.name, at.frame_id, at.operator),
         history=HistoryJson(undo=undo, redo=redo),
     )
+
+
+def picture_version(project: Project, recording_id: int, name: str, key: str, adjusted: int) -> str:
+    """The query of a picture's address, by which browsers may cache it; with the key "" of all pictures of a recording.
+
+    Differs if another project or recording has taken the same name or id.
+    """
+    place = f"{project.config.created_ns} {recording_id} {name} {key}"
+    # a time offset shows another image; the page ignores this
+    offset = f"&adjusted={adjusted}" if adjusted else ""
+    return f"v={hashlib.sha256(place.encode()).hexdigest()[:12]}{offset}"
 
 
 def drawn_view(at: InProject, view: PseudoView, picture: bytes) -> ViewJson:

@@ -209,7 +209,10 @@ class LabelJson(LabelValues):
 
 
 class FrameJson(Schema):
-    """A frame: its recording, key, index, neighbours, revision, and values of its own attributes."""
+    """A frame: its recording, key, index, neighbours, revision, and values of its own attributes.
+
+    `cameras`: the frames of its moment, its own included, by the ids of their recordings.
+    """
 
     id: int
     recording: int
@@ -220,6 +223,7 @@ class FrameJson(Schema):
     finalised: bool
     previous: int | None
     next: int | None
+    cameras: dict[int, int]
     attributes: dict[str, Value]
 
 

@@ -201,7 +201,7 @@ def correct(page: Page) -> None:
 def follow(page: Page) -> None:
     """All reviewed boxes of the frame, through the recording."""
     page.wait_for_timeout(SETTLED_MS)
-    page.keyboard.press("l")
+    page.keyboard.press("j")
     page.get_by_test_id("follow").locator("xpath=self::*[not(@data-state='running')]").wait_for()
     page.get_by_test_id("ortho-side").locator("rect.line").wait_for()
     wait_for_3d(page)

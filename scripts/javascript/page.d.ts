@@ -63,6 +63,14 @@ type ChangeClasses = (
 type Route = { project: string | null; mode: string; frame: number | null; query: URLSearchParams };
 type Direction = "next" | "previous";
 
+/** Places (indices of frames) that the timeline shows. */
+type Stretch = { first: number; count: number };
+type Lane = Api.LaneJson;
+/** First and last place, class, and 0 if its boxes are reviewed, else the level 1 to 5 of their doubt. */
+type Span = Lane["spans"][number];
+/** The frames and tracks of a recording; `places`: the place of each frame by its id. */
+type Timeline = Api.LanesJson & { places: Map<number, number>; picture: (frame: number) => string };
+
 interface StateValues {
   operator: string | null;
   version: string;
@@ -70,6 +78,12 @@ interface StateValues {
   project: Api.ProjectInfo | null;
   /** The open frame. */
   frame: FrameState | null;
+  /** Of the open frame's recording, once it is read. */
+  timeline: Timeline | null;
+  /** The track of the selected box, as the mode says. */
+  track: number | null;
+  /** The part of a track that is selected on the timeline: the ids of its first and last frame. */
+  span: { trackId: number; from: number; to: number } | null;
   /** Frame id -> names of the operators who have it open. */
   presence: Record<string, string[]>;
   /** The newest first. */

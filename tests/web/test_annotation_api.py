@@ -14,6 +14,7 @@ from room_api import BOX, ROOM, change, propose, state
 
 from annotator.cli.main import main
 from annotator.geometry.iou import iou_3d
+from annotator.image_bytes import declared_size
 from annotator.project import Project
 from annotator.types import BoxKind, DetectorKind
 from annotator.web.schemas import Box3DJson
@@ -35,6 +36,7 @@ def test_the_state_of_a_frame_has_labels_boxes_and_neighbours(live: Live, projec
         "finalised": False,
         "previous": 1,
         "next": 3,
+        "cameras": {"1": 2},
         "attributes": {},
     }
     assert (frame["image"]["width"], frame["image"]["height"]) == (320, 240)
@@ -59,6 +61,11 @@ def test_browsers_may_cache_images(live: Live) -> None:
     plain = live.client.get(f"{ROOM}/frames/1/image.jpg")
     assert plain.content == found.content
     assert "immutable" not in plain.headers["cache-control"]
+    tracks = live.client.get(f"{ROOM}/recordings/1/tracks").json()
+    assert (tracks["frames"], tracks["lanes"]) == ([1, 2, 3, 4, 5], [])
+    small = live.client.get(f"{ROOM}/frames/1/image.jpg?width=96&{tracks['pictures']}")
+    assert "immutable" in small.headers["cache-control"]
+    assert declared_size(small.content)[0] == 96 and len(small.content) < len(plain.content)
     assert live.client.get(f"{ROOM}/views/{'0' * 64}.png").status_code == 404
     assert live.client.get(f"{ROOM}/views/..%2Fproject.png").status_code in (404, 422)
 

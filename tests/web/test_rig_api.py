@@ -54,6 +54,10 @@ def test_a_page_shows_the_labels_that_its_camera_sees_and_hears_of_changes_in_an
         assert [[label["uid"] for label in state(live.client, frame)["labels"]] for frame in range(1, 5)] == [
             [uid], [uid], [], [],
         ]  # fmt: skip
+        tracks = live.client.get("/api/projects/room/recordings/2/tracks").json()
+        assert (tracks["frames"], tracks["lanes"]) == ([2], [{"track_id": 3, "spans": [[0, 0, "car", 0]]}])
+        assert state(live.client, 2)["frame"]["cameras"] == {"1": 1, "2": 2, "3": 3, "4": 4}
+        assert {each["rig_id"] for each in live.client.get("/api/projects/room/recordings").json()} == {1}
         assert change(live.client, 1, {"kind": "reject", "uid": uid}, frame=2).status_code == 200
         heard: dict[int, int] = {}
         while heard.get(1) != 2:

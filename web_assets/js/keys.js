@@ -36,6 +36,10 @@ export const KEYS = [
   ...rows("Frames and boxes", ANNOTATE, [
     ["next-frame", ["N", "PageDown"], "Next frame"],
     ["previous-frame", ["P", "PageUp"], "Previous frame"],
+    ["go-to-frame", ["Ctrl+G"], "Go to a frame by its number"],
+    ["next-camera", ["K"], "Next camera of this moment"],
+    ["previous-camera", ["Shift+K"], "Previous camera of this moment", ["Shift", "K"]],
+    ["timeline", ["L"], "Fold and unfold the timeline"],
     ["next-box", ["Tab"], "Next box"],
     ["previous-box", ["Shift+Tab"], "Previous box"],
     ["class", ["1", "2", "3", "4", "5", "6", "7", "8", "9"], "Class", ["1", "…", "9"]],
@@ -73,8 +77,8 @@ export const KEYS = [
   ...rows("Tracks", ANNOTATE, [
     ["follow", ["V"], "Follow this reviewed or new box through the recording"],
     ["follow-back", ["Shift+V"], "Follow it backward", ["Shift", "V"]],
-    ["follow-all", ["L"], "Follow all reviewed boxes of this frame"],
-    ["follow-all-back", ["Shift+L"], "Follow them backward", ["Shift", "L"]],
+    ["follow-all", ["J"], "Follow all reviewed boxes of this frame"],
+    ["follow-all-back", ["Shift+J"], "Follow them backward", ["Shift", "J"]],
     ["sheet", ["S"], "Contact sheet of this object's track"],
     ["copy-next", ["Shift+C"], "Copy this box to the next frame", ["Shift", "C"]],
     ["carry", ["A"], "Correct the later proposals of the track like this box"],
@@ -147,7 +151,7 @@ function isForField(/** @type {KeyboardEvent} */ event, /** @type {string} */ na
   if (tag === "TEXTAREA" || isContentEditable || (tag === "INPUT" && TYPED.has(type))) return name !== "F6";
   // a number field needs digits and signs, but no letters
   if (tag === "INPUT" && (type === "number" || type === "range"))
-    return !/^(Ctrl\+(Shift\+)?[ZY]|Space|[A-DF-Z]|F6)$/.test(name);
+    return !/^(Ctrl\+(Shift\+)?[GZY]|Space|[A-DF-Z]|F6)$/.test(name);
   if (tag === "SELECT") return name !== "F6" && !name.startsWith("Ctrl+");
   // on a focused control, Tab moves to the next one and Enter activates it
   if (tag === "BUTTON" || tag === "A" || tag === "INPUT" || tag === "SUMMARY")
@@ -162,7 +166,7 @@ export function createKeys() {
   let mode = null;
 
   function onKey(/** @type {KeyboardEvent} */ event) {
-    if (event.defaultPrevented || document.querySelector("dialog[open]")) return;
+    if (event.defaultPrevented || document.querySelector("dialog[open], :popover-open")) return;
     const name = keyName(event);
     const digit = /^Digit([1-9])$/.exec(event.code)?.[1];
     const row =

@@ -16,6 +16,8 @@ import { createKeys } from "./keys.js";
 import { showHints, toast } from "./messages.js";
 import { makeHash, parseHash } from "./router.js";
 import { signIn } from "./session.js";
+import { readTimeline } from "./timeline/reading.js";
+import { mountTimeline } from "./timeline/timeline.js";
 import { applyTheme, mountTopbar } from "./topbar.js";
 import { createViewport } from "./viewport.js";
 
@@ -48,6 +50,9 @@ function createApp() {
     route: parseHash(""),
     project: null,
     frame: null,
+    timeline: null,
+    track: null,
+    span: null,
     presence: {},
     jobs: [],
     connected: true,
@@ -262,6 +267,7 @@ function leave() {
   app.keys.setMode(null);
   old?.unmount();
   app.viewport?.detach();
+  app.state.set({ track: null });
   work.className = "work";
   work.replaceChildren();
   showHints();
@@ -350,7 +356,9 @@ async function start() {
   );
   app.events.on("reconnected", () => void (isBroken ? follow() : catchUp()));
   app.events.on("connection", (connected) => app.state.set({ connected }));
+  readTimeline(app);
   mountTopbar(topbar, app);
+  mountTimeline(elementById("timeline"), app);
   try {
     /** @type {Api.Session} */
     const session = await app.api.get("/api/session");

@@ -1,12 +1,13 @@
 /**
- * The bar at the top: project, modes, frame, other operators who have it open, connection, job, undo and redo, theme,
- * keys, operator.
+ * The bar at the top: project, modes, recording, frame and camera (where.js), connection, job, undo and redo, theme, keys,
+ * operator.
  */
 
 import { confirm, keyTableDialog } from "./dialogs.js";
-import { glyph, h, iconButton, patch } from "./dom.js";
+import { h, iconButton, patch } from "./dom.js";
 import { makeHash } from "./router.js";
 import { signOut } from "./session.js";
+import { createWhere, WITH_FRAME } from "./where.js";
 
 const TABS = [
   ["annotate", "Annotate"],
@@ -16,13 +17,12 @@ const TABS = [
   ["checks", "Checks"],
   ["alignment", "Alignment"],
 ];
-const WITH_FRAME = new Set(["annotate", "alignment"]);
 
 export function mountTopbar(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
   const parts = [
     brand(),
     tabs(app),
-    where(app),
+    createWhere(app),
     h("span", { class: "grow" }),
     connection(app),
     jobs(app),
@@ -66,58 +66,6 @@ function tabs(/** @type {App} */ app) {
   };
   app.state.on("route", show);
   app.state.on("frame", show);
-  show();
-  return box;
-}
-
-/** Recording, position and neighbours of the open frame, and the other operators who have it open. */
-function where(/** @type {App} */ app) {
-  const name = h("span", { class: "name ellipsis muted", "data-testid": "recording-name" });
-  const position = h("span", { class: "number", "data-testid": "frame-position" });
-  const others = h("span", { class: "presence ellipsis", "data-testid": "presence" });
-  const step = (/** @type {Direction} */ which) => () => {
-    const { frame, route } = app.state;
-    const target = frame?.frame[which] ?? null;
-    if (route.project !== null && target !== null) app.go(makeHash(route.project, route.mode, target));
-  };
-  const previous = iconButton("previous", "Previous frame in time", step("previous"));
-  const next = iconButton("next", "Next frame in time", step("next"));
-  const lock = h(
-    "span",
-    { title: "Finalised: automatic passes do not change this frame", class: "muted" },
-    glyph("lock"),
-  );
-  const box = h(
-    "div",
-    { class: "where" },
-    h("span", { class: "divider" }),
-    name,
-    previous,
-    position,
-    next,
-    lock,
-    others,
-  );
-  const show = () => {
-    const { route, frame, project, presence, operator } = app.state;
-    const isHidden = frame === null || !WITH_FRAME.has(route.mode);
-    box.hidden = isHidden;
-    if (isHidden) return;
-    const recording = project?.recordings.find(({ id }) => id === frame.frame.recording);
-    name.textContent = frame.frame.recording_name;
-    name.title = `${frame.frame.recording_name}, frame ${frame.frame.key}`;
-    position.textContent = `${(frame.frame.index ?? 0) + 1}${recording ? ` / ${recording.frames}` : ""}`;
-    previous.disabled = frame.frame.previous === null;
-    next.disabled = frame.frame.next === null;
-    lock.hidden = !frame.frame.finalised;
-    const names = (presence[frame.frame.id] ?? frame.open_by).filter((other) => other !== operator);
-    others.textContent = names.length ? `also opened by ${names.join(", ")}` : "";
-    others.title = others.textContent;
-  };
-  app.state.on("route", show);
-  app.state.on("frame", show);
-  app.state.on("project", show);
-  app.state.on("presence", show);
   show();
   return box;
 }

@@ -241,10 +241,19 @@ ViewId = Annotated[str, Path(pattern=r"^[0-9a-f]{64}$")]
 
 
 @router.get("/api/projects/{name}/frames/{frame_id}/image.jpg", response_class=Response)
-def image(ctx: Ctx, name: str, frame_id: RowId, v: str | None = None) -> Response:
-    """The camera image. With the version `v` from a frame's state, browsers may cache it."""
-    opened = ctx.caches.frames.open(ctx.project(name), frame_id)
-    return Response(opened.jpeg, media_type="image/jpeg", headers={"Cache-Control": CACHE_FOREVER if v else "no-cache"})
+def image(
+    ctx: Ctx,
+    name: str,
+    frame_id: RowId,
+    v: str | None = None,
+    width: Annotated[int | None, Query(ge=32, le=640)] = None,
+) -> Response:
+    """The camera image; with a `width`, a small picture of it. With a version `v` from the server, browsers may cache
+    it.
+    """
+    project, frames = ctx.project(name), ctx.caches.frames
+    content = frames.open(project, frame_id).jpeg if width is None else frames.small(project, frame_id, width)
+    return Response(content, media_type="image/jpeg", headers={"Cache-Control": CACHE_FOREVER if v else "no-cache"})
 
 
 # Share of the points that the top view shows first, percent: a few lie far behind the others.

@@ -61,13 +61,17 @@ class ProjectSummary(BaseModel):
 
 
 class RecordingInfo(Schema):
-    """A recording of a project; `missing` is True if its path does not exist."""
+    """A recording of a project.
+
+    `missing` is True if its path does not exist; `rig_id` is the same for the cameras of a rig.
+    """
 
     id: int
     name: str
     format: str
     frames: int
     missing: bool
+    rig_id: int
 
 
 class ModelInfo(Schema):

@@ -8,8 +8,10 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, Field
 
+from annotator.project import REVIEWED
 from annotator.recordings import ReaderOptions
 from annotator.recordings.recording import parse_options
+from annotator.types import ReviewState
 from annotator.types.errors import InputError
 from annotator.web.context import AtProject, Ctx, InProject, Operator
 from annotator.web.folders import FolderEntry
@@ -87,9 +89,15 @@ class NewRecording(RecordingPath):
 
 
 class ListedRecording(RecordingInfo):
-    """A recording with its number of labels; `removed_by` is null unless it was removed from the project."""
+    """A recording with its first frame and the numbers of its labels.
 
+    `removed_by` is null unless it was removed from the project.
+    """
+
+    first: int | None
     labels: int
+    reviewed: int
+    proposed: int
     removed_by: str | None
 
 
@@ -136,9 +144,17 @@ def folders(ctx: Ctx, operator: Operator, path: FolderPath = "") -> tuple[Folder
 def recordings(at: AtProject) -> list[ListedRecording]:
     """The recordings of a project, also those that were removed from it."""
     stored = at.project.recordings
-    numbers = stored.label_counts()
+    labels = stored.label_counts()
+    reviewed, proposed = stored.label_counts(REVIEWED), stored.label_counts([ReviewState.PROPOSED])
     return [
-        ListedRecording(**dict(recording_info(each)), labels=numbers.get(each.id, 0), removed_by=each.removed_by)
+        ListedRecording(
+            **dict(recording_info(each)),
+            first=at.project.frames.first(each.id),
+            labels=labels.get(each.id, 0),
+            reviewed=reviewed.get(each.id, 0),
+            proposed=proposed.get(each.id, 0),
+            removed_by=each.removed_by,
+        )
         for each in (*stored.all(), *stored.removed())
     ]
 

@@ -7,16 +7,17 @@ from collections.abc import Iterator, Sequence
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path
-from fastapi.responses import StreamingResponse
+from fastapi.responses import Response, StreamingResponse
 from pydantic import Field
 
 from annotator.project import StoredFrame
+from annotator.project.lanes import read_lanes
 from annotator.project.overview import read_page
 from annotator.types import DetectorKind, Label, ReviewState
 from annotator.types.errors import AnnotatorError, DetectionError
 from annotator.web.context import AtProject, InProject
 from annotator.web.follow_runs import Direction, FollowRunJson
-from annotator.web.frame_json import STALE, AtFrame, InFrame
+from annotator.web.frame_json import STALE, AtFrame, InFrame, ModelResponse, picture_version
 from annotator.web.schemas import Box3DJson, FrameChange, FrameStateJson, RowId, Schema, Uid, WithEffort
 from annotator.workflows.tracks.copy_next import carry_correction, copy_next
 from annotator.workflows.tracks.follow_run import follow_from_frame
@@ -46,6 +47,25 @@ class LabelIn(FrameChange):
     """A label."""
 
     uid: Uid
+
+
+class LaneJson(Schema):
+    """A track (null: boxes without one) and its spans as in `annotator.project.lanes`."""
+
+    track_id: int | None
+    spans: tuple[tuple[int, int, str | None, int], ...]
+
+
+class LanesJson(Schema):
+    """The timeline of a recording: the ids of its frames in order, and a lane for each track.
+
+    `pictures` is the query with which browsers may cache small pictures of its frames.
+    """
+
+    recording: int
+    frames: tuple[int, ...]
+    lanes: list[LaneJson]
+    pictures: str
 
 
 class CopyNextOut(Schema):
@@ -87,6 +107,19 @@ class InterpolateOut(Schema):
     finalised: int
     covered: int
     state: FrameStateJson
+
+
+@router.get("/api/projects/{name}/recordings/{recording_id}/tracks", response_model=LanesJson)
+def tracks(at: AtProject, recording_id: RowId) -> Response:
+    """All tracks of a recording, as its timeline shows them."""
+    stored, lanes = at.project.recordings.get(recording_id), read_lanes(at.project.store, recording_id)
+    found = LanesJson.model_construct(
+        recording=recording_id,
+        frames=lanes.frames,
+        lanes=[LaneJson.of(lane) for lane in lanes.lanes],
+        pictures=picture_version(at.project, recording_id, stored.name, "", stored.adjusted),
+    )
+    return ModelResponse(found)
 
 
 @router.get("/api/projects/{name}/recordings/{recording_id}/tracks/{track_id}")

@@ -119,10 +119,14 @@ class OpenFrame:
         return self._results.get(key, compute)
 
 
-def _jpeg(frame: Frame) -> bytes:
+def _jpeg(frame: Frame, width_px: int | None = None) -> bytes:
     import cv2
 
-    bgr = np.ascontiguousarray(frame.rgb[..., ::-1])
+    rgb = frame.rgb
+    if width_px is not None and width_px < rgb.shape[1]:
+        height_px = max(round(rgb.shape[0] * width_px / rgb.shape[1]), 1)
+        rgb = cv2.resize(rgb, (width_px, height_px), interpolation=cv2.INTER_AREA)
+    bgr = np.ascontiguousarray(rgb[..., ::-1])
     written, content = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     if not written:
         raise AnnotatorError(f"frame {frame.key}: the image cannot be written as JPEG")
@@ -143,6 +147,8 @@ LOG = logging.getLogger("annotator.web")
 KEPT_FRAMES = 8
 # Others are kept within this memory. Ten operators on twenty frames otherwise wait for each other's reading.
 KEPT_BYTES = 512 * 2**20
+# Small pictures of frames; one takes some 3 kB.
+MOST_SMALL = 4000
 # Delay before reading ahead, so that the requests of the current frame go first, seconds.
 PAUSE_S = 0.4
 
@@ -159,6 +165,7 @@ class FrameCache:
         # the frame that each operator has opened last
         self._open_by: dict[str, tuple[Project, int]] = {}
         self._closed = threading.Event()
+        self._small = Memo(MOST_SMALL)
 
     def read(self, project: Project, frame_id: int) -> Frame:
         """Returns a frame.
@@ -200,6 +207,12 @@ class FrameCache:
         except FrameError:
             with lock:
                 return self._read(project, source, stored)
+
+    def small(self, project: Project, frame_id: int, width_px: int) -> bytes:
+        """Returns a small picture of a frame as a JPEG file, read once; the frame is not opened. Raises as `read`."""
+        stored = project.frames.get(frame_id)
+        key = project, frame_id, stored.key, project.adjustments.newest(stored.recording_id), width_px
+        return self._small.get(key, lambda: _jpeg(self.look(project, stored), width_px))
 
     def recorded(self, project: Project, frame_id: int) -> Frame:
         """Returns a frame as its recording's files give it; it is not cached. Raises as `read`."""

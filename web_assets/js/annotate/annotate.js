@@ -21,7 +21,7 @@ import { createFields } from "./fields.js";
 import { createFollow } from "./follow.js";
 import { createImagePanel } from "./image_panel.js";
 import { createMap } from "./map.js";
-import { createOpening } from "./opening.js";
+import { createOpening, trackIn } from "./opening.js";
 import { createOrthoViews } from "./ortho_views.js";
 import { createPreload } from "./preload.js";
 import { createQueue } from "./queue.js";
@@ -91,7 +91,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       if (desk.labels().some(isOpen)) opening.pick(null);
       else void goInQueue(target);
     },
-    onProgress: () => tracks.refresh(),
   });
   const image = createImagePanel(parts.image, app, desk, {
     teach: () => teach,
@@ -216,7 +215,9 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     picker.show();
     fields.show();
     attributes.show();
-    void tracks.show();
+    tracks.show();
+    const track = desk.stored()?.track_id ?? null;
+    if (track !== app.state.track) app.state.set({ track });
     showQueue();
     // not the old frame again while the next one is being opened
     if (!opening.loading) scene.show();
@@ -235,6 +236,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
         map.show();
         fields.show();
         attributes.show();
+        tracks.show();
         scene.preview();
         if (!desk.hasDraft) void ortho.show();
       } else {
@@ -307,13 +309,14 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
 
   return {
     route(/** @type {Route} */ { frame, query }) {
-      const uid = query.get("uid");
+      const [uid, track] = [query.get("uid"), trackIn(query)];
       if (frame === null) void opening.begin().catch(app.toast);
       else if (frame !== opening.opened && frame !== opening.broken)
-        void opening.open(frame, uid).then((isOpen) => {
+        void opening.open(frame, uid, track).then((isOpen) => {
           if (isOpen === false && opening.opened !== null) app.stay(opening.opened);
         });
       else if (uid) desk.select(uid);
+      else if (track !== null) opening.pick(null, track);
     },
     unsaved: () =>
       teach.unsaved ?? (desk.unsaved && { ...desk.unsaved, retry: desk.retryAll, discard: desk.discardAll }),

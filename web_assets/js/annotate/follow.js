@@ -12,15 +12,14 @@ const closed = new Set();
 
 /**
  * `open` shows a box, or a frame (uid null). `onFirst` is called with the first new box of a run that the operator has
- * just begun, unless the operator has gone elsewhere; `onProgress` after each new box.
+ * just begun, unless the operator has gone elsewhere.
  *
  * @param {HTMLElement} host
  * @param {ModeApp} app
  * @param {Desk} desk
- * @param {{ open: (target: Target) => unknown, onFirst: (target: Target) => unknown,
- *     onProgress: () => unknown }} options
+ * @param {{ open: (target: Target) => unknown, onFirst: (target: Target) => unknown }} options
  */
-export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
+export function createFollow(host, app, desk, { open, onFirst }) {
   const title = h("span", { class: "grow", "data-testid": "follow-title" });
   const bar = h("progress", { max: 1, "aria-label": "Progress" });
   const stop = button("Stop", () => void end(), { class: "danger", "data-testid": "follow-stop" });
@@ -72,7 +71,6 @@ export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
     if (run && (next.number < run.number || (next.number === run.number && next.done < run.done))) return;
     run = next.state === "undone" ? null : next;
     show();
-    onProgress();
     visitFirst();
   }
 

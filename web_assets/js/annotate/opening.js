@@ -42,9 +42,13 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
   }
 
   /**
-   * Opens a frame. Resolves to false if the operator stays with the open one, to null if yet another one is opened.
+   * Opens a frame, and selects the label, or else the track. Resolves to false if the operator stays with the open one, to null if yet another one is opened.
    */
-  async function open(/** @type {number} */ id, /** @type {string | null} */ uid) {
+  async function open(
+    /** @type {number} */ id,
+    /** @type {string | null} */ uid,
+    /** @type {number | null} */ track = null,
+  ) {
     openings += 1;
     const own = openings;
     setLoading(true);
@@ -61,7 +65,7 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
         opened = id;
         showProblem(null);
       }
-      pick(uid);
+      pick(uid, track);
     } catch (error) {
       if (own !== openings || isAborted(error)) return null;
       showProblem(error, id);
@@ -81,15 +85,20 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
     onProblem(error, frame);
   }
 
-  /** Selects a label of the open frame: this one, or else the most doubtful proposal. */
-  function pick(/** @type {string | null} */ uid) {
+  /** Selects a label of the open frame: this one, or that of this track, or else the most doubtful proposal. */
+  function pick(/** @type {string | null} */ uid, /** @type {number | null} */ track = null) {
     const labels = desk.labels();
     const chosen =
       labels.find((label) => label.uid === uid) ??
+      ofTrack(track) ??
       mostDoubtful(labels.filter(isOpen)) ??
       labels.find(({ state }) => state !== "rejected");
     desk.select(chosen?.uid ?? null);
   }
+
+  /** The label of a track in the open frame. */
+  const ofTrack = (/** @type {number | null} */ track) =>
+    desk.labels().find((label) => track !== null && label.track_id === track && label.state !== "rejected");
 
   /**
    * Opens a box, and puts its frame into the address.
@@ -117,12 +126,14 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
   /** Opens the frame of the page's URL, or else the first one of the queue. */
   async function begin() {
     const { frame, query } = app.state.route;
+    const track = trackIn(query);
     // the frame can be reviewed without the queue
     try {
       await queue.load();
     } catch (error) {
       app.toast(error);
     }
+    if (frame !== null && track !== null) return open(frame, null, track);
     if (frame !== null)
       return open(frame, query.get("uid") ?? queue.items.find((item) => item.frame === frame)?.uid ?? null);
     if (queue.items[0]) return go(queue.items[0], true);
@@ -160,6 +171,10 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
     begin,
   };
 }
+
+/** The track that an address names, or null. */
+export const trackIn = (/** @type {URLSearchParams} */ query) =>
+  query.has("track") ? Number(query.get("track")) : null;
 
 export const mostDoubtful = (/** @type {PageLabel[]} */ labels) =>
   labels.toSorted((a, b) => (b.doubt ?? 0) - (a.doubt ?? 0))[0];

@@ -156,7 +156,7 @@ function queueRow(
   /** @type {(target: Target) => unknown} */ open,
 ) {
   const isOurs = item.sources.every((name) => name === OWN);
-  const place = `${recordings.size > 1 ? `${recordings.get(item.recording) ?? ""} ` : ""}${item.key}`;
+  const place = `${recordings.get(item.recording) ?? ""}, frame ${item.key}`;
   return h(
     "li",
     { "data-key": keyOf(item) },
@@ -164,14 +164,14 @@ function queueRow(
       [
         h("span", { class: "ellipsis grow" }, item.label ?? "draw"),
         isOurs ? null : saidBy(item.sources),
-        h("span", { class: "muted ellipsis number" }, place),
         doubtBar(item.doubt),
+        h("span", { class: "muted place" }, place),
       ],
       () => open(item),
       {
         class: isDone ? "quiet row-button done" : "quiet row-button",
         "aria-current": isCurrent ? "true" : null,
-        title: `${isDone ? "reviewed: " : ""}${item.label ?? "Nothing is drawn yet"}, frame ${place}${isOurs ? "" : `, seen by ${item.sources.join(", ")}`}`,
+        title: `${isDone ? "reviewed: " : ""}${item.label ?? "Nothing is drawn yet"}, ${place}${isOurs ? "" : `, seen by ${item.sources.join(", ")}`}`,
         "data-testid": isDone ? "queue-done" : "queue-item",
         "data-uid": item.uid,
       },

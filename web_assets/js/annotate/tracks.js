@@ -1,17 +1,14 @@
 /**
- * The track of an object: a strip with its boxes, steps to the next and previous one, its box copied to the next
+ * The track of an object: steps to its next and previous box, its box copied to the next
  * frame, and proposals between two reviewed boxes. The server does the work (workflows/tracks).
  */
 
 import { trackColor } from "../colors.js";
-import { button, count, h, patch } from "../dom.js";
+import { button, count, h } from "../dom.js";
 import { currentFrame } from "../frame_state.js";
 
 /** A copy with fewer points inside stands on nothing. */
 const LEAST_POINTS = 5;
-
-/** Frames of an object that are shown around the current one. */
-const SHOWN = 40;
 
 /**
  * What to say about boxes that were copied from the previous frame, and how.
@@ -53,73 +50,24 @@ export function createTracks(
     title: "Correct the later proposals of this track like this box (A)",
     "data-testid": "act-carry",
   });
-  const strip = h("div", { class: "track-strip", "data-testid": "track-strip" });
-  const body = h(
-    "div",
-    { class: "track", hidden: true },
-    h("div", { class: "row pad" }, title, all, alike, fill),
-    strip,
-  );
+  const body = h("div", { class: "track", hidden: true }, h("div", { class: "row pad" }, title, all, alike, fill));
   host.append(body);
-  /** @type {{ key: string, boxes: Api.TrackBox[] }} */
-  let known = { key: "", boxes: [] };
 
   const recording = () => currentFrame(app).frame.recording;
   const path = (/** @type {number} */ id) => app.path("recordings", recording(), "tracks", id);
 
-  async function show() {
+  function show() {
     const { shown: label } = desk;
-    const frame = app.state.frame?.frame;
     const id = desk.stored()?.track_id ?? null;
-    const isHidden = !label || !frame || id === null;
-    body.hidden = isHidden;
-    if (isHidden) {
-      known = { key: "", boxes: [] };
-      return;
-    }
-    const key = `${frame.recording}/${id}/${frame.id}/${frame.revision}`;
-    if (known.key === key) return draw(label, id);
-    known = { key, boxes: [] };
-    try {
-      /** @type {Api.TrackBox[]} */
-      const boxes = await app.api.get(path(id));
-      if (known.key !== key) return;
-      known.boxes = boxes;
-      draw(label, id);
-    } catch (error) {
-      app.toast(error);
-    }
-  }
-
-  function draw(/** @type {PageLabel} */ label, /** @type {number} */ id) {
-    const at = Math.max(
-      0,
-      known.boxes.findIndex(({ uid }) => uid === label.uid),
-    );
-    const from = Math.max(0, Math.min(at - SHOWN / 2, known.boxes.length - SHOWN));
-    const frames = new Set(known.boxes.filter(({ state }) => state !== "rejected").map(({ frame }) => frame)).size;
-    title.textContent = `Track ${id} (${frames})`;
-    title.title = `In ${count(frames, "frame")} of this recording`;
+    body.hidden = !label || id === null;
+    if (!label || id === null) return;
+    title.textContent = `Track ${id}`;
     // the colours of tracks are too light for text
     const dot = h("span", { class: "dot" });
     dot.style.background = trackColor(id);
     title.prepend(dot);
     alike.disabled = desk.formerBox(label.uid) === null;
     fill.disabled = label.state !== "accepted" && label.state !== "edited";
-    patch(
-      strip,
-      known.boxes.slice(from, from + SHOWN).map((box) =>
-        button([], () => open({ frame: box.frame, uid: box.uid }), {
-          class: `tick state-${box.state}`,
-          title: `${box.key}, ${box.state}`,
-          "aria-label": `Frame ${box.key}, ${box.state}`,
-          "aria-current": box.uid === label.uid ? "true" : null,
-          "data-testid": "track-tick",
-          "data-uid": box.uid,
-          "data-key": box.uid,
-        }),
-      ),
-    );
   }
 
   /** Goes to the next (by = 1) or previous (by = -1) frame with the same object. */
@@ -172,8 +120,6 @@ export function createTracks(
         `${count(done.filled, "frame")} filled between the two boxes${left > 0 ? `, ${left} left unchanged` : ""}.`,
         "good",
       );
-      known.key = "";
-      await show();
     } catch (error) {
       app.toast(error);
     }
@@ -190,19 +136,11 @@ export function createTracks(
       /** @type {Api.CarryOut} */
       const { changed } = await desk.change("carry", () => ({ uid: label.uid, was }));
       app.toast(`${count(changed, "later box", "later boxes")} corrected alike.`, "good");
-      refresh();
       await onCarried();
     } catch (error) {
       app.toast(error);
     }
   }
 
-  /** Reads the track again, since other frames may have got boxes. */
-  function refresh() {
-    if (known.key === "") return;
-    known.key = "";
-    void show();
-  }
-
-  return { show, refresh, step, copyToNext, carry, interpolate };
+  return { show, step, copyToNext, carry, interpolate };
 }
