@@ -69,12 +69,12 @@ export function createActions(host, act) {
   return {
     /**
      * @param {{ label: PageLabel | null, frame: FrameState | null, gizmoMode: Api.Gizmo, busy: boolean,
-     *     isDrawing: boolean, isMoreOpen: boolean }} shown isMoreOpen: there are proposals, here or elsewhere.
+     *     isDrawing: boolean, isMoreOpen: boolean }} shown isMoreOpen: there are proposals, here or in the queue that is worked.
      */
     show({ label, frame, gizmoMode, busy, isDrawing, isMoreOpen }) {
       for (const one of [reject, refit, flip, remove]) one.disabled = !label || busy;
       const isReviewed = label?.state === "accepted" || label?.state === "edited";
-      accept.disabled = busy || !(label || isMoreOpen);
+      accept.disabled = busy || !((label && !isReviewed) || isMoreOpen);
       const [text, title] =
         isReviewed || !label
           ? ["Next", "Next open box of this frame, or of the queue (Space)"]

@@ -23,7 +23,7 @@ import { createQueue } from "./queue.js";
 import { createScene } from "./scene.js";
 import { createSheet } from "./sheet.js";
 import { createBoxList, createQueueList } from "./side_lists.js";
-import { createTracks } from "./tracks.js";
+import { createTracks, OPERATIONS } from "./tracks.js";
 
 /** A picture with a greater ratio of width to height gets a wider panel. */
 const WIDE_ASPECT = 1.9;
@@ -63,13 +63,14 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     queue,
     preload,
     open: goInQueue,
+    next: () => (opening.inQueue ? (queue.items[0] ?? null) : null),
     isFollowed: (track) => follow.isFollowed(track),
   });
   const tracks = createTracks(parts.boxes, app, desk, {
     open: go,
     sheet: () => commands.whenCalm(sheet.show),
-    async onCarried() {
-      // they have new uids
+    async onChanged() {
+      // they may have new uids
       await queue.load();
       sheet.again();
     },
@@ -136,7 +137,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       gizmoMode: scene.gizmo,
       busy: opening.loading,
       isDrawing: image.isDrawing,
-      isMoreOpen: queue.items.length > 0 || desk.labels().some(isOpen),
+      isMoreOpen: (opening.inQueue && queue.items.length > 0) || desk.labels().some(isOpen),
     });
   }
 
@@ -339,8 +340,11 @@ export function bindings({ commands, opening, tracks, sheet, scene, image, ortho
     "follow-all-back": once(() => commands.followAll("backward")),
     "copy-next": once(() => commands.whenCalm(() => tracks.copyToNext())),
     carry: once(() => commands.whenCalm(() => tracks.carry())),
-    interpolate: once(() => commands.whenCalm(() => tracks.interpolate())),
-    "interpolate-refit": once(() => commands.whenCalm(() => tracks.interpolate(true))),
+    ...Object.fromEntries(
+      Object.entries(OPERATIONS)
+        .filter(([, { key }]) => key)
+        .map(([id]) => [`track-${id}`, once((key) => commands.whenCalm(() => tracks.operate(id, { digit: key })))]),
+    ),
     sheet: once(() => commands.whenCalm(sheet.show)),
     "next-of-track": once(() => commands.whenCalm(() => tracks.step(1))),
     "previous-of-track": once(() => commands.whenCalm(() => tracks.step(-1))),

@@ -1,10 +1,12 @@
 /**
- * The track of an object: a strip with its boxes, steps to the next and previous one, its box copied to the next
- * frame, and proposals between two reviewed boxes. The server does the work (workflows/tracks).
+ * The track of an object: a strip with its boxes, steps to the next and previous one, its box copied to the next frame,
+ * and what is done to the whole track or a span of it. The server does the work (workflows/tracks).
  */
 
+import { openDialog } from "../dialogs.js";
 import { trackColor } from "../colors.js";
 import { button, count, h, patch } from "../dom.js";
+import { messageOf } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 
 /** A copy with fewer points inside stands on nothing. */
@@ -28,37 +30,113 @@ export function copiedText(/** @type {PageLabel[]} */ copies) {
 }
 
 /**
- * `open` shows a box in its frame, `sheet` the contact sheet. `onCarried` is called when later proposals have changed.
+ * What is done to a track: the text of the button, its key, what the dialog says above the count, and the operation.
+ *
+ * @type {Record<string, { text: string, key: string, title: (track: number) => string, help: string,
+ *     span: (at: Api.TrackBox[], frame: number) => Span, operation: (label: PageLabel) => Record<string, unknown> }>}
+ */
+export const OPERATIONS = {
+  split: {
+    text: "Split here",
+    key: "K",
+    title: (track) => `Split track ${track} here`,
+    help: "The boxes from this frame on get a new number.",
+    span: (_, frame) => ({ from: frame, to: null }),
+    operation: () => ({ do: "number", number: null }),
+  },
+  merge: {
+    text: "Merge…",
+    key: "M",
+    title: (track) => `Merge track ${track} with another one`,
+    help: "Where both have a box in a frame, the reviewed one stays, or else that of this track.",
+    span: () => WHOLE,
+    operation: () => ({ do: "number" }),
+  },
+  class: {
+    text: "Class…",
+    key: "⇧1",
+    title: (track) => `Class of track ${track}`,
+    help: "All boxes of the track get this class.",
+    span: () => WHOLE,
+    operation: () => ({ do: "class" }),
+  },
+  size: {
+    text: "One size",
+    key: "Z",
+    title: (track) => `One size for track ${track}`,
+    help: "All boxes get the size of this one. Each keeps its rotation, its bottom, and the sides that face the camera.",
+    span: () => WHOLE,
+    operation: ({ box }) => ({ do: "size", size_m: box.size }),
+  },
+  values: {
+    text: "Values",
+    key: "",
+    title: (track) => `Values of track ${track}`,
+    help: "All boxes of the track get the attributes of this one.",
+    span: () => WHOLE,
+    operation: ({ attributes }) => ({ do: "values", values: attributes }),
+  },
+  fill: {
+    text: "Fill gap",
+    key: "I",
+    title: (track) => `Fill the gaps of track ${track} beside this box`,
+    help: "Boxes are proposed between this box and the ones before and after it.",
+    span: (boxes, frame) => {
+      const at = boxes.findIndex((box) => box.frame === frame);
+      return { from: boxes[at - 1]?.frame ?? frame, to: boxes[at + 1]?.frame ?? frame };
+    },
+    operation: () => ({ do: "fill" }),
+  },
+  delete: {
+    text: "Delete on",
+    key: "⇧Del",
+    title: (track) => `Delete track ${track} from here on`,
+    help: "The boxes of this frame and of all later ones are deleted.",
+    span: (_, frame) => ({ from: frame, to: null }),
+    operation: () => ({ do: "delete" }),
+  },
+};
+
+/** @type {Span} */
+const WHOLE = { from: null, to: null };
+
+/**
+ * `open` shows a box in its frame, `sheet` the contact sheet. `onChanged` is called when boxes of other frames have
+ * changed.
  */
 export function createTracks(
   /** @type {HTMLElement} */ host,
   /** @type {ModeApp} */ app,
   /** @type {Desk} */ desk,
-  /** @type {{ open: (target: Target) => unknown, sheet: () => unknown, onCarried: () => unknown }} */ {
+  /** @type {{ open: (target: Target) => unknown, sheet: () => unknown, onChanged: () => unknown }} */ {
     open,
     sheet,
-    onCarried,
+    onChanged,
   },
 ) {
   const title = h("span", { class: "grow ellipsis" });
-  const fill = button(["Fill back", h("kbd", {}, "I")], () => void interpolate(), {
-    title: "Propose boxes between this reviewed box and its track's previous reviewed box (I)",
-    "data-testid": "act-fill",
-  });
-  const all = button("Sheet", () => sheet(), {
+  const all = button(["Sheet", h("kbd", {}, "S")], () => sheet(), {
     title: "All boxes of this track as small pictures, to be accepted together (S)",
     "data-testid": "act-sheet",
   });
   const alike = button(["Alike", h("kbd", {}, "A")], () => void carry(), {
-    title: "Correct the later proposals of this track like this box (A)",
+    title: "Correct the boxes after this one, the track's last reviewed one, alike (A)",
     "data-testid": "act-carry",
   });
+  const acts = Object.entries(OPERATIONS).map(([id, { text, key, help }]) =>
+    button([text, key ? h("kbd", {}, key) : null], () => void operate(id), {
+      title: help,
+      "data-testid": `track-${id}`,
+    }),
+  );
+  const values = acts[Object.keys(OPERATIONS).indexOf("values")];
   const strip = h("div", { class: "track-strip", "data-testid": "track-strip" });
   const body = h(
     "div",
     { class: "track", hidden: true },
-    h("div", { class: "row pad" }, title, all, alike, fill),
+    h("div", { class: "row" }, title, all, alike),
     strip,
+    h("div", { class: "row", role: "toolbar", "aria-label": "This track" }, acts),
   );
   host.append(body);
   /** @type {{ key: string, boxes: Api.TrackBox[] }} */
@@ -102,7 +180,7 @@ export function createTracks(
     title.title = `In ${count(frames, "frame")} of this recording`;
     title.style.color = trackColor(id);
     alike.disabled = desk.formerBox(label.uid) === null;
-    fill.disabled = label.state !== "accepted" && label.state !== "edited";
+    values.hidden = Object.keys(label.attributes).length === 0;
     patch(
       strip,
       known.boxes.slice(from, from + SHOWN).map((box) =>
@@ -156,24 +234,64 @@ export function createTracks(
     }
   }
 
-  /** Proposes boxes in the frames between this reviewed box and its track's previous reviewed box. */
-  async function interpolate(refit = false) {
+  /**
+   * Asks for what an operation needs, says what it does, and does it.
+   *
+   * @param {string} id
+   * @param {{ span?: Span | null, digit?: string }} [given] of a whole track, the span that is chosen; the class's key.
+   */
+  async function operate(id, { span = null, digit = "" } = {}) {
     const label = desk.stored();
     if (!label || label.isNew) return;
+    if (label.track_id === null) return app.toast("This box has no track. Enter a track id, or follow it.", "warn");
     await desk.flush();
-    try {
-      const { state, ...done } = await desk.change("interpolate", () => ({ uid: label.uid, refit }));
-      app.frames.take(state);
-      const left = done.finalised + done.covered;
-      app.toast(
-        `${count(done.filled, "frame")} filled between the two boxes${left > 0 ? `, ${left} left unchanged` : ""}.`,
-        "good",
-      );
-      known.key = "";
-      await show();
-    } catch (error) {
-      app.toast(error);
+    const { title: titleOf, help, text, ...of } = OPERATIONS[id];
+    const [track, { id: frame }] = [label.track_id, currentFrame(app).frame];
+    const shown = known.boxes.filter(({ state, index }) => state !== "rejected" && index !== null);
+    const fixed = { ...of.operation(label), ...(span ?? of.span(shown, frame)) };
+    const field = fieldOf(id, label, app.state.project.classes, digit);
+    const note = h("p", { role: "status", "data-testid": "track-count" });
+    const body = () => ({ operation: { ...fixed, ...field?.value() }, at: frame });
+    /** @type {Api.OperationOut | null} */
+    let told = null;
+    let asked = 0;
+
+    async function tell() {
+      asked += 1;
+      const own = asked;
+      told = null;
+      try {
+        /** @type {Api.OperationOut} */
+        const answer = await app.api.post(path(track), body());
+        if (own !== asked) return;
+        told = answer;
+        note.textContent = `This ${answer.words}.`;
+      } catch (error) {
+        if (own === asked) note.textContent = messageOf(error);
+      }
     }
+
+    if (!field?.isEmpty) await tell();
+    if (!field && told === null) return app.toast(note.textContent, "warn");
+    field?.root.addEventListener("input", () => void tell());
+    const done = await openDialog({
+      title: titleOf(track),
+      testid: "track-operation",
+      content: [h("p", { class: "muted" }, help), ...(field ? [field.root] : []), note],
+      actions: [{ label: text.replace("…", ""), value: "yes", kind: id === "delete" ? "danger" : "primary" }],
+      async submit() {
+        // nothing happens that was not told before
+        if (told === null) throw new Error(note.textContent || "Say with which track.");
+        const { count: expected } = told;
+        return desk.enqueue(() => app.api.change(path(track), { ...body(), told: expected }));
+      },
+    });
+    if (!done) return;
+    app.effort.action();
+    app.toast(`Track ${track}: ${done.words}.`, "good");
+    await app.frames.refresh();
+    refresh();
+    await onChanged();
   }
 
   /** Corrects the later proposals of the track like the selected box. */
@@ -188,7 +306,7 @@ export function createTracks(
       const { changed } = await desk.change("carry", () => ({ uid: label.uid, was }));
       app.toast(`${count(changed, "later box", "later boxes")} corrected alike.`, "good");
       refresh();
-      await onCarried();
+      await onChanged();
     } catch (error) {
       app.toast(error);
     }
@@ -201,5 +319,36 @@ export function createTracks(
     void show();
   }
 
-  return { show, refresh, step, copyToNext, carry, interpolate };
+  return { show, refresh, step, copyToNext, carry, operate };
+}
+
+/**
+ * The field of an operation, what it gives, and whether it is empty at first.
+ *
+ * @param {string} id
+ * @param {PageLabel} label
+ * @param {string[]} classes
+ * @param {string} digit
+ */
+function fieldOf(id, label, classes, digit) {
+  if (id === "merge") {
+    const input = h("input", { type: "number", min: 0, step: 1, autofocus: true, "data-testid": "track-other" });
+    const root = h("label", { class: "number-field" }, h("span", {}, "Number of the other track"), input);
+    return { root, isEmpty: true, value: () => ({ number: input.valueAsNumber }) };
+  }
+  if (id === "class") {
+    const options = classes.map((name) => h("option", { value: name }, name));
+    const select = h("select", { "aria-label": "Class", "data-testid": "track-class-name" }, options);
+    select.value = classes[Number(digit) - 1] ?? classes.find((name) => name !== label.label) ?? label.label;
+    return {
+      root: h("label", { class: "number-field" }, h("span", {}, "Class"), select),
+      value: () => ({ label: select.value }),
+    };
+  }
+  if (id !== "fill") return null;
+  const box = h("input", { type: "checkbox", "data-testid": "track-refit" });
+  return {
+    root: h("label", {}, box, " Fit each box to the points of its frame"),
+    value: () => ({ refit: box.checked }),
+  };
 }
