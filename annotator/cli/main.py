@@ -41,7 +41,6 @@ COMMANDS: dict[str, Command] = {
     "lift": Command("annotate:run_lift", "propose oriented 3D boxes from 2D boxes, without training"),
     "track": Command("tracks:run_track", "link the boxes of each object into tracks"),
     "follow": Command("tracks:run_follow", "follow reviewed boxes through a recording"),
-    "interpolate": Command("tracks:run_interpolate", "fill the frames between a track's reviewed boxes"),
     "export": Command("export:run", "write the labels as a dataset"),
     "evaluate": Command("evaluate:run", "score boxes against ground truth, by a benchmark's protocol"),
     "stats": Command("stats:run", "show a project's progress"),
@@ -70,6 +69,12 @@ COMMANDS: dict[str, Command] = {
     "classes rename-attribute": Command("classes:rename_attribute", "rename an attribute or a choice"),
     "classes order-attributes": Command("classes:order_attributes", "set the order of the attributes"),
     "classes remove-attribute": Command("classes:remove_attribute", "remove an attribute"),
+    "tracks class": Command("tracks:set_class", "give all boxes of a track a class"),
+    "tracks number": Command("tracks:set_number", "split a track, or merge it into another one"),
+    "tracks size": Command("tracks:set_size", "give all boxes of a track one size"),
+    "tracks values": Command("tracks:set_values", "set values of attributes of all boxes of a track"),
+    "tracks delete": Command("tracks:delete", "remove the boxes of a track, or of a span of it"),
+    "tracks fill": Command("tracks:fill", "fill the frames between a track's boxes"),
     "generate": Command("demo:generate", "generate a synthetic recording with ground truth"),
     "doctor": Command("doctor:run", "report packages, devices and detector backends, and run a self-test"),
     "demo": Command("demo:demo", "run the whole loop on a generated recording"),
@@ -79,6 +84,7 @@ COMMANDS: dict[str, Command] = {
 GROUPS: dict[str, str] = {
     "project": "manage a project as a whole",
     "classes": "show and change the classes and attributes of a project",
+    "tracks": "change whole tracks, or spans of them; each is one undo step",
 }
 """First words of the two-word commands, and their summaries in `annotator --help`."""
 

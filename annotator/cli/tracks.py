@@ -1,19 +1,25 @@
-"""`annotator track`, `follow`, `interpolate`: objects through a recording."""
+"""`annotator track`, `follow`, `tracks`: objects through a recording."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
+from pydantic import ValidationError
 from tyro.conf import arg
 
+from annotator.cli.classes import ClassName
 from annotator.cli.options import RecordingName, RecordingNames, ids_of
 from annotator.cli.output import counted, print_line
 from annotator.project import Project
-from annotator.types.messages import amount
+from annotator.types.errors import ConfigError
+from annotator.types.label import AttributeValue
+from annotator.types.messages import amount, first_problem
 from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.tracks import operations
 from annotator.workflows.tracks.follow_run import follow_recording
-from annotator.workflows.tracks.interpolate import box_fitter, interpolate
 from annotator.workflows.tracks.link import link_tracks
+from annotator.workflows.tracks.operations import apply, box_fitter
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ready_view, view_with_classes
 
@@ -83,36 +89,153 @@ def run_follow(
             print_line(f"  stopped at frame {stop.key}: {stop.reason}")
 
 
-INTERPOLATE_AUTHOR = "annotator interpolate"
+OPERATION_AUTHOR = "annotator tracks"
+
+TrackNumber = Annotated[int, arg(help="number of the track.")]
 
 
-def run_interpolate(
+@dataclass(frozen=True)
+class Span:
+    """The frames of an operation."""
+
+    first: Annotated[
+        str | None,
+        arg(name="from", help="name of the first frame; default: the track's first.", help_behavior_hint=""),
+    ] = None
+    last: Annotated[
+        str | None, arg(name="to", help="name of the last frame; default: the track's last.", help_behavior_hint="")
+    ] = None
+    dry_run: Annotated[bool, arg(help="only say what it would do.", help_behavior_hint="")] = False
+
+
+InSpan = Annotated[Span, arg(name="")]
+WHOLE = Span()
+
+
+def set_class(
     project: Project,
     recording: RecordingName,
+    track: TrackNumber,
+    label: ClassName,
     /,
     *,
-    track: int,
-    first: Annotated[str | None, arg(name="from")] = None,
-    last: Annotated[str | None, arg(name="to")] = None,
-    refit: bool = False,
+    span: InSpan = WHOLE,
 ) -> None:
-    """Propose the boxes of a track between its key frames, the frames with a reviewed box.
+    """Give all boxes of a track a class."""
+    _operate(project, recording, track, operations.SetClass, span, label=label)
 
-    Centre, size and rotation are interpolated from one key frame to the next. Reviewed boxes do not change; open
-    proposals of the same object are replaced.
+
+def set_number(
+    project: Project,
+    recording: RecordingName,
+    track: TrackNumber,
+    /,
+    *,
+    into: int | None = None,
+    span: InSpan = WHOLE,
+) -> None:
+    """Give boxes of a track another number: split it with --from, or merge it into another track with --into.
+
+    In a frame where both tracks have a box, the reviewed one stays, or else that of this track.
 
     Args:
-        track: id of the track.
-        first: name of the first key frame; default: the track's first one.
-        last: name of the last key frame; default: the track's last one.
+        into: the number, also of a track with boxes; default: a new one.
+    """
+    _operate(project, recording, track, operations.SetNumber, span, number=into)
+
+
+def set_size(
+    project: Project,
+    recording: RecordingName,
+    track: TrackNumber,
+    size: Annotated[tuple[float, float, float], arg(metavar="L W H", help="length, width and height, metres.")],
+    /,
+    *,
+    span: InSpan = WHOLE,
+) -> None:
+    """Give all boxes of a track one size, as a rigid object has it.
+
+    Each box keeps its rotation, its bottom, and the sides that face the camera, on which its points lie.
+    """
+    _operate(project, recording, track, operations.SetSize, span, size_m=size)
+
+
+def set_values(
+    project: Project,
+    recording: RecordingName,
+    track: TrackNumber,
+    values: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE", help="attributes; NAME= removes the value.")],
+    /,
+    *,
+    span: InSpan = WHOLE,
+) -> None:
+    """Set values of attributes of all boxes of a track."""
+    attributes = {each.name: each for each in project.config.attributes}
+
+    def read(text: str) -> tuple[str, AttributeValue | None]:
+        name, is_given, value = text.partition("=")
+        if not is_given:
+            raise ConfigError(f"{text!r} is no NAME=VALUE")
+        if name not in attributes or not value:
+            return name, None
+        try:
+            return name, attributes[name].read(value)
+        except ValueError as error:
+            raise ConfigError(str(error)) from error
+
+    _operate(project, recording, track, operations.SetValues, span, values=dict(map(read, values)))
+
+
+def delete(
+    project: Project,
+    recording: RecordingName,
+    track: TrackNumber,
+    /,
+    *,
+    span: InSpan = WHOLE,
+) -> None:
+    """Remove the boxes of a track, reviewed ones too."""
+    _operate(project, recording, track, operations.Delete, span)
+
+
+def fill(
+    project: Project,
+    recording: RecordingName,
+    track: TrackNumber,
+    /,
+    *,
+    refit: bool = False,
+    span: InSpan = WHOLE,
+) -> None:
+    """Propose a box in each frame that has none between two boxes of a track.
+
+    Centre, size and rotation are interpolated.
+
+    Args:
         refit: fit every new box to the points of its frame, with the pseudo-view detector if it is trained.
     """
-    chosen = project.recordings.find(recording).id
-    source, fit = FrameSource(project), None
+    fit = None
     if refit:
+        source = FrameSource(project)
         fit = box_fitter(project, lambda frame: OpenFrame(source.read(frame)), ready_view(project))
-    done = interpolate(project, chosen, track, INTERPOLATE_AUTHOR, first=first, last=last, fit=fit)
-    print_line(f"track {track}: {amount(len(done.filled), 'frame')} filled with proposals")
-    if done.finalised or done.covered:
-        finalised, covered = amount(done.finalised, "finalised frame"), amount(done.covered, "frame")
-        print_line(f"unchanged: {finalised}, {covered} where the object is already labelled")
+    _operate(project, recording, track, operations.Fill, span, fit, refit=refit)
+
+
+def _operate(
+    project: Project,
+    recording: str,
+    track: int,
+    kind: type[operations.Operation],
+    span: Span,
+    fit: operations.FitBox | None = None,
+    **given: Any,
+) -> None:
+    chosen = project.recordings.find(recording).id
+    ends = {"first": span.first, "last": span.last}
+    ids = {name: project.frames.find(chosen, key).id for name, key in ends.items() if key is not None}
+    try:
+        operation = kind.model_validate(given | ids)
+    except ValidationError as error:
+        raise ConfigError(first_problem(error)) from error
+    done = apply(project, chosen, track, operation, OPERATION_AUTHOR, dry_run=span.dry_run, fit=fit)
+    print_line(f"track {track}: {done.words()}{' (nothing was stored)' if span.dry_run else ''}")

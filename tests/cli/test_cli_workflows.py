@@ -105,15 +105,15 @@ def test_export_writes_a_dataset(root: Path, generated: Path, tmp_path: Path, ru
     assert "5 frames" in said
 
 
-def test_interpolate_and_track(root: Path, made_rooms: Path, run: Run) -> None:
+def test_whole_tracks_change_once_they_are_linked(root: Path, made_rooms: Path, run: Run) -> None:
     shutil.copytree(made_rooms / "labelled", root)
     with open_project(root / "room") as project:
         for frame in project.frames.of()[1:4]:
             for revision, label in enumerate(project.labels.of_frame(frame.id), frame.revision):
                 project.labels.delete(frame.id, label.uid, WriteContext(revision, "ann"))
-    assert "track 1: 3 frames filled" in run("interpolate", "room", "people", "--track", "1")
-    run(*["interpolate", "room", "people", "--track", "2", "--from", "000000", "--to", "000004", "--refit"])
-    assert "track 9 has 0 reviewed boxes" in run("interpolate", "room", "people", "--track", "9", code=2)
+    assert "track 1: proposes 3 boxes" in run("tracks", "fill", "room", "people", "1")
+    run(*["tracks", "fill", "room", "people", "2", "--from", "000000", "--to", "000004", "--refit"])
+    assert "track 9 of people has no boxes" in run("tracks", "fill", "room", "people", "9", code=2)
     said = run("track", "room", "--recordings", "people")
     assert "12 boxes in 3 tracks of 1 recording, 0 changed" in said
 

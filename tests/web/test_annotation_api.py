@@ -201,6 +201,36 @@ def test_the_queue_and_checks_list_doubtful_labels(live: Live, project: Project)
     assert "duplicate" in {row["kind"] for row in report["warnings"]}
 
 
+def test_an_operation_on_a_track_is_told_before_it_is_done(live: Live, project: Project) -> None:
+    first, second = (propose(project, frame, 5.0)[0] for frame in (1, 2))
+    for frame, uid in ((1, first), (2, second)):
+        change(
+            live.client,
+            state(live.client, frame)["frame"]["revision"],
+            {"kind": "track", "uid": uid, "track_id": 7},
+            frame=frame,
+        )
+    change(live.client, state(live.client)["frame"]["revision"], {"kind": "accept", "uid": first})
+    track = f"{ROOM}/recordings/1/tracks/7"
+    split = {"operation": {"do": "number", "from": 2}, "at": 2}
+    told = live.client.post(track, json=split).json()
+    assert told["words"] == "changes 1 box to number 8, none of them reviewed"
+    assert [box["uid"] for box in live.client.get(track).json()] == [first, second], "it was only counted"
+    untrue = live.client.post(track, json={**split, "told": {**told["count"], "changed": 5}})
+    assert (untrue.status_code, untrue.json()["error"]["kind"]) == (400, "ConfigError")
+    assert live.client.post(track, json={**split, "told": told["count"]}).json() == told
+    assert [box["uid"] for box in live.client.get(track).json()] == [first]
+    assert live.client.post(f"{ROOM}/undo", json={}).json()["frame"] == 2
+    for wrong in (
+        {"do": "burn"},
+        {"do": "size", "size_m": [1, 2, -3]},
+        {"do": "delete", "first": 1.5},
+        {"do": "values", "values": {}},
+    ):
+        assert live.client.post(track, json={"operation": wrong}).status_code == 422
+    assert live.client.post(track, json={"operation": {"do": "delete", "from": 99}}).status_code == 404
+
+
 def training_data(project: Project) -> tuple[int, list[str], int]:
     """The detectors' training data: number of boxes on images, kinds of boxes on views, number of 3D labels."""
     on_images = sum(len(boxes.boxes) for boxes in project.boxes.on_images())

@@ -42,7 +42,7 @@ export const KEYS = [
     ["timeline", ["L"], "Fold and unfold the timeline"],
     ["next-box", ["Tab"], "Next box"],
     ["previous-box", ["Shift+Tab"], "Previous box"],
-    ["class", ["1", "2", "3", "4", "5", "6", "7", "8", "9"], "Class", ["1", "…", "9"]],
+    ["class", digits(""), "Class", ["1", "…", "9"]],
     ["class-search", ["/"], "Class, from all of them, with a search"],
     [
       "attribute",
@@ -81,9 +81,13 @@ export const KEYS = [
     ["follow-all-back", ["Shift+J"], "Follow them backward", ["Shift", "J"]],
     ["sheet", ["S"], "Contact sheet of this object's track"],
     ["copy-next", ["Shift+C"], "Copy this box to the next frame", ["Shift", "C"]],
-    ["carry", ["A"], "Correct the later proposals of the track like this box"],
-    ["interpolate", ["I"], "Fill the frames back to the track's previous reviewed box"],
-    ["interpolate-refit", ["Shift+I"], "The same, with each box fitted to its points", ["Shift", "I"]],
+    ["carry", ["A"], "Correct the boxes after this one, the track's last reviewed one, alike"],
+    ["track-split", ["H"], "Split the track here: from this frame on, it gets a new number"],
+    ["track-merge", ["Shift+M"], "Merge the track with another one", ["Shift", "M"]],
+    ["track-class", digits("Shift+"), "Class of the whole track", ["Shift", "1", "…", "9"]],
+    ["track-size", ["Z"], "The size of this box for the whole track"],
+    ["track-fill", ["I"], "Fill the track's gaps beside this box"],
+    ["track-delete", ["Shift+Delete", "Shift+Backspace"], "Delete the track from this frame on", ["Shift", "Del"]],
     ["next-of-track", ["Shift+N"], "Next frame of this object", ["Shift", "N"]],
     ["previous-of-track", ["Shift+P"], "Previous frame of this object", ["Shift", "P"]],
   ]),
@@ -117,6 +121,10 @@ function rows(group, modes, list) {
 
 function alt(/** @type {string} */ keys) {
   return [...keys].map((key) => `Alt+${key}`);
+}
+
+function digits(/** @type {string} */ prefix) {
+  return [..."123456789"].map((digit) => prefix + digit);
 }
 
 function arrows(/** @type {string[]} */ prefixes) {
@@ -169,9 +177,10 @@ export function createKeys() {
     if (event.defaultPrevented || document.querySelector("dialog[open], :popover-open")) return;
     const name = keyName(event);
     const digit = /^Digit([1-9])$/.exec(event.code)?.[1];
-    const row =
-      findRow(name) ??
-      (digit && !event.ctrlKey && !event.altKey && !event.metaKey && !event.shiftKey ? findRow(digit) : undefined);
+    const isPlain = digit && !event.ctrlKey && !event.altKey && !event.metaKey;
+    // with Shift, a digit's key types another character, or on some keyboards the digit
+    const shifted = isPlain && event.shiftKey ? findRow(`Shift+${digit}`) : undefined;
+    const row = shifted ?? findRow(name) ?? (isPlain && !event.shiftKey ? findRow(digit) : undefined);
     const handler = row && handlers.get(row.id)?.at(-1);
     if (!handler || isForField(event, name)) return;
     // with Alt, a letter may be typed after all

@@ -144,6 +144,12 @@ class ChangesIn(FrameChange):
         return changes
 
 
+class ChangedJson(FrameStateJson):
+    """The frame's present state, and the number of boxes that have moved along in other frames."""
+
+    moved: int
+
+
 router = APIRouter(tags=["frames"])
 
 
@@ -190,14 +196,14 @@ def frame(at: AtFrame) -> JSONResponse:
     return ModelResponse(at.state())
 
 
-@router.post("/api/projects/{name}/frames/{frame_id}/changes", response_model=FrameStateJson, responses=STALE)
+@router.post("/api/projects/{name}/frames/{frame_id}/changes", response_model=ChangedJson, responses=STALE)
 def changes(at: AtFrame, body: ChangesIn) -> JSONResponse:
-    """Change one frame: all changes or none, as one undo step."""
+    """Change one frame: all changes or none, as one undo step. Unreviewed boxes of a corrected track move along."""
     with at.change(body):
         context = body.context(at.operator, body.subject)
         payloads = [entry.payload() for entry in body.changes]
-        apply_changes(at.project, at.frame_id, payloads, context, at.open)
-    return ModelResponse(at.state())
+        moved = apply_changes(at.project, at.frame_id, payloads, context, at.open)
+    return ModelResponse(ChangedJson.of(at.state(), moved=moved))
 
 
 @router.post("/api/projects/{name}/undo", responses=STALE)

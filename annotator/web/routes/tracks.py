@@ -1,4 +1,4 @@
-"""Tracks: the boxes of one object, following objects through a recording, and interpolation between key frames."""
+"""Tracks: the boxes of one object, operations on them, and following objects through a recording."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ from annotator.types.errors import AnnotatorError, DetectionError
 from annotator.web.context import AtProject, InProject
 from annotator.web.follow_runs import Direction, FollowRunJson
 from annotator.web.frame_json import STALE, AtFrame, InFrame, ModelResponse, picture_version
-from annotator.web.schemas import Box3DJson, FrameChange, FrameStateJson, RowId, Schema, Uid, WithEffort
-from annotator.workflows.tracks.copy_next import carry_correction, copy_next
+from annotator.web.schemas import Box3DJson, FrameChange, RowId, Schema, Uid, WithEffort
+from annotator.workflows.tracks.copy_next import copy_next
 from annotator.workflows.tracks.follow_run import follow_from_frame
-from annotator.workflows.tracks.interpolate import box_fitter, interpolate_back
+from annotator.workflows.tracks.key_frames import carry_correction
+from annotator.workflows.tracks.operations import AnyOperation, Count, Fill, apply, box_fitter
 from annotator.workflows.tracks.propose_boxes import boxes_of
 from annotator.workflows.workbench.contact_sheet import SeenBox, accept_boxes
 from annotator.workflows.workbench.frame_state import seen_labels
@@ -94,19 +95,19 @@ class FollowIn(FrameChange):
     direction: Direction = "forward"
 
 
-class InterpolateIn(LabelIn):
-    """A reviewed label; proposals fill the frames back to its track's previous key frame. `refit`: refit each box."""
+class OperationIn(WithEffort):
+    """An operation on a track, the count that the operator was told, and the frame in which the operator is."""
 
-    refit: bool = False
+    operation: AnyOperation
+    told: Count | None = None
+    at: RowId | None = None
 
 
-class InterpolateOut(Schema):
-    """Numbers of filled and skipped (finalised, covered) frames, and the present state of the frame."""
+class OperationOut(Schema):
+    """What the operation does, also in words."""
 
-    filled: int
-    finalised: int
-    covered: int
-    state: FrameStateJson
+    count: Count
+    words: str
 
 
 @router.get("/api/projects/{name}/recordings/{recording_id}/tracks", response_model=LanesJson)
@@ -149,7 +150,7 @@ def copy_to_next(at: AtFrame, body: LabelIn) -> CopyNextOut:
 
 @router.post("/api/projects/{name}/frames/{frame_id}/carry", responses=STALE)
 def carry(at: AtFrame, body: CarryIn) -> CarryOut:
-    """Correct the later proposals of a track like this box; one undo step."""
+    """Correct the proposals of a track after this box, its last reviewed one, alike; one undo step."""
     with at.change(body):
         was, effort = body.was.box(), body.stored_effort()
         changed = carry_correction(at.project, at.frame_id, body.uid, body.revision, was, at.operator, effort=effort)
@@ -187,17 +188,28 @@ def stop_following(at: AtProject) -> FollowRunJson | None:
     return at.ctx.follow_runs.stop(at.project, at.operator)
 
 
-@router.post("/api/projects/{name}/frames/{frame_id}/interpolate", responses=STALE)
-def interpolate(at: AtFrame, body: InterpolateIn) -> InterpolateOut:
-    """Propose boxes between a reviewed box and its track's previous reviewed box; one undo step."""
-    fit = None
-    if body.refit:
-        view = at.ctx.caches.detectors.get(at.project, DetectorKind.VIEW)
-        fit = box_fitter(at.project, lambda frame: at.ctx.caches.frames.open(at.project, frame.id), view)
-    with at.change(body):
-        effort = body.stored_effort()
-        done = interpolate_back(at.project, at.frame_id, body.uid, body.revision, at.operator, fit=fit, effort=effort)
-    return InterpolateOut.of(done, filled=len(done.filled), state=at.state())
+@router.post("/api/projects/{name}/recordings/{recording_id}/tracks/{track_id}")
+def operate(at: AtProject, recording_id: RowId, track_id: TrackId, body: OperationIn) -> OperationOut:
+    """Apply an operation to a track, one undo step, if it does what the operator was told; untold, only count."""
+    caches, operation, fit = at.ctx.caches, body.operation, None
+    if isinstance(operation, Fill) and operation.refit:
+        view = caches.detectors.get(at.project, DetectorKind.VIEW)
+        fit = box_fitter(at.project, lambda frame: caches.frames.open(at.project, frame.id), view)
+    count = apply(
+        at.project,
+        recording_id,
+        track_id,
+        operation,
+        at.operator,
+        dry_run=body.told is None,
+        told=body.told,
+        fit=fit,
+        effort=body.stored_effort(),
+        at=body.at,
+    )
+    if body.told is not None:
+        at.announce()
+    return OperationOut(count=count, words=count.words())
 
 
 def _own_view(at: InFrame) -> ReadyDetector | None:

@@ -1,22 +1,18 @@
-"""Carries an operator's boxes on: a copy to the next frame, and a correction to the later proposals of the track."""
+"""Copies a box to the next frame."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from annotator.geometry.oriented_box import same_box
-from annotator.project import REVIEWED, Effort, Origin, Project, StoredFrame, StoredLabel
+from annotator.project import REVIEWED, Effort, Origin, Project, StoredFrame
 from annotator.project.changes import LabelChanged, NewLabel, Payload
 from annotator.project.overview import read_page
-from annotator.project.records import OWN, BoxRecord
-from annotator.project.sources import covered_by
-from annotator.rcv.axes import with_axes_like
 from annotator.rcv.follow_object import Look, follow_object
 from annotator.tracking.link import MAX_GAP, MOTION_BOXES, predicted
-from annotator.types import Frame, Label, OrientedBox, ReviewState, Source
+from annotator.types import Frame, Label, OrientedBox
 from annotator.types.errors import ConfigError
 from annotator.workflows.tracks.propose_boxes import (
     Changed,
@@ -103,70 +99,3 @@ def _moved(timeline: Timeline, here: int, label: Label) -> OrientedBox:
     known = sorted(earlier)[1 - MOTION_BOXES :]
     boxes = [*(earlier[index] for index in known), label.box]
     return predicted(boxes, timeline.times[np.array([*known, here])].tolist(), float(timeline.times[here + 1]))
-
-
-MIN_SIZE_M = 0.01
-
-
-def carry_correction(
-    project: Project,
-    frame_id: int,
-    uid: str,
-    revision: int,
-    was: OrientedBox,
-    author: str,
-    *,
-    effort: Effort | None = None,
-) -> Changed:
-    """Changes the open proposals of a track from a reviewed box to its next reviewed one, as that box was changed."""
-    page = page_at(project, frame_id, revision)
-    frame, label = page.frame, label_of(page, uid).label
-    if label.state not in REVIEWED:
-        raise ConfigError("only a reviewed box says how the later ones are to be corrected; correct this one first")
-    if label.track_id is None:
-        raise ConfigError("the box belongs to no track; enter a track id, or follow it")
-    if same_box(was, label.box):
-        raise ConfigError("this box was not corrected, so there is nothing to do alike; correct it first")
-    frames = {each.id: each for each in project.frames.of([frame.recording_id])}
-    changes: list[tuple[StoredFrame, list[Payload]]] = []
-    for other in project.labels.along(frame.recording_id, tracks=[label.track_id]):
-        at = frames[other.frame_id]
-        if at.index is None or at.index <= (frame.index or 0):
-            continue
-        if other.label.state in REVIEWED:
-            break
-        if other.label.state is ReviewState.PROPOSED and not at.finalised:
-            changes.append((at, _corrected(project, at, other, corrected_alike(other.label.box, was, label.box))))
-    changes = [(at, events) for at, events in changes if events]
-    if not changes:
-        raise ConfigError(f"track {label.track_id} has no later proposal to correct before its next reviewed box")
-    return write(project, changes, author, effort)
-
-
-def _corrected(project: Project, frame: StoredFrame, stored: StoredLabel, box: OrientedBox) -> list[Payload]:
-    """The events that give an open proposal another box; empty if a reviewed or rejected label covers that box."""
-    label = stored.label
-    if label.source is Source.AUTO:
-        decided = [each for each in project.labels.of_frame(frame.id) if each.state is not ReviewState.PROPOSED]
-        if covered_by([replace(label, box=box)], decided) != [None]:
-            return []
-        # It stays the same proposal, so its score, its doubt and the effort for it stay with it.
-        return [LabelChanged(uid=label.uid, box=BoxRecord.of(box))]
-    # Of other software's proposals, what it said stays as it is, so the corrected box becomes a proposal of ours.
-    said = tuple(each for each in stored.said if each.source != OWN)
-    return proposal_events(project, frame, [proposal_like(label, box, label.track_id, said=said)])
-
-
-def corrected_alike(box: OrientedBox, was: OrientedBox, now: OrientedBox) -> OrientedBox:
-    """Changes a box as another one was changed: turned and moved alike in its own axes, its sides by as many metres.
-
-    Args:
-        was, now: the other box before and after.
-    """
-    turn = was.rotation.T @ now.rotation
-    moved_m = was.rotation.T @ (now.center_m - was.center_m)
-    turned = OrientedBox.from_parts(box.center_m + box.rotation @ moved_m, box.rotation @ turn, box.size_m)
-    # a turn by 90 degrees makes the length the width
-    own_m = with_axes_like(box, turned).size_m
-    size_m = own_m + now.size_m - with_axes_like(was, now).size_m
-    return OrientedBox.from_parts(turned.center_m, turned.rotation, np.maximum(size_m, MIN_SIZE_M))

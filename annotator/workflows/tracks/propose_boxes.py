@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,11 @@ import numpy as np
 from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt, StoredFrame, StoredLabel, WriteContext
 from annotator.project.changes import LabelChanged, LabelDeleted, NewLabel, Payload
 from annotator.project.overview import FramePage, neighbours, read_page
+from annotator.project.records import OWN, BoxRecord
 from annotator.project.sources import covered_by
 from annotator.rcv.starts import WarmStart
 from annotator.tracking.link import Seen, link, overlap_at_place
-from annotator.types import Label, OrientedBox, Proposal, ReviewState
+from annotator.types import Label, OrientedBox, Proposal, ReviewState, Source
 from annotator.types.errors import NotFoundError, StaleRevisionError
 
 Changed = tuple[tuple[int, Receipt], ...]
@@ -57,6 +59,38 @@ def proposal_events(
         if stored.label.uid in kept and stored.label.label == each.label and _is_replaced(stored, [each])
     ]
     return [*replaced, *new, *values]
+
+
+def is_finalised(project: Project, frame: StoredFrame, stored: StoredLabel) -> bool:
+    """Whether a label is in a finalised frame: where it is seen, or where it was made."""
+    return frame.finalised or (not stored.is_own and project.frames.get(stored.made_in).finalised)
+
+
+def changed_box(
+    project: Project,
+    frame: StoredFrame,
+    stored: StoredLabel,
+    *,
+    label: str | None = None,
+    box: OrientedBox | None = None,
+) -> list[Payload]:
+    """Returns the events that give a box of a track another class or another 3D box.
+
+    A reviewed one counts as edited. An open proposal stays as it is (no events) where the object is labelled: as
+    `proposal_events` says, or it would be where a box was rejected.
+    """
+    present = stored.label
+    given = {} if label is None else {"label": label}
+    given |= {} if box is None else {"box": BoxRecord.of(box)}
+    if present.state in REVIEWED:
+        return [LabelChanged(uid=present.uid, state=ReviewState.EDITED, **given)]
+    # Of other software's proposals, what it said stays as it is, so the changed box becomes a proposal of ours.
+    said = tuple(each for each in stored.said if each.source != OWN)
+    new = replace(present, label=label or present.label)
+    proposal = proposal_like(new, present.box if box is None else box, present.track_id, said=said)
+    events = proposal_events(project, frame, [proposal])
+    # One of ours stays the same proposal, so its score, its doubt and the effort for it stay with it.
+    return [LabelChanged(uid=present.uid, **given)] if events and present.source is Source.AUTO else events
 
 
 def page_at(project: Project, frame_id: int, revision: int) -> FramePage:

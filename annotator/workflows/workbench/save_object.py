@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from annotator.geometry.oriented_box import same_box
-from annotator.project import REVIEWED, FramePart, Origin, Project, Receipt, WriteContext
+from annotator.project import REVIEWED, FramePart, Origin, Project, Receipt, StoredFrame, WriteContext
 from annotator.project.changes import ImageBoxesSet, LabelChanged, LabelDeleted, NewLabel, Payload, ViewBoxesSet
 from annotator.project.overview import FramePage, read_page
 from annotator.project.progress.reviewed import draft_id
@@ -16,6 +17,7 @@ from annotator.project.records import BoxRecord
 from annotator.rcv.config import RcvConfig
 from annotator.types import Box2D, BoxKind, OrientedBox, ReviewState, Suggestion
 from annotator.types.errors import ConfigError, StaleRevisionError
+from annotator.workflows.tracks.key_frames import moved_along
 from annotator.workflows.tracks.propose_boxes import label_of, proposal_events, proposal_like, why_left_out
 from annotator.workflows.views import changes_kind, geometry_of, image_follower, view_followers
 from annotator.workflows.workbench.drawing_steps import (
@@ -138,7 +140,10 @@ def save_object(
         payloads += [entry for entry in others if entry.uid != uid]
     if payloads:
         target = context.effort_target or _effort_target(page, image_boxes, drawn, uid)
-        project.log.append(frame_id, payloads, replace(context, effort_target=target))
+        corrected = [entry for entry in payloads if isinstance(entry, LabelChanged) and entry.uid == uid]
+        parts = [FramePart(frame_id, payloads, replace(context, effort_target=target))]
+        moved, _ = _in_other_frames(project, page, corrected, context)
+        project.log.append_to_frames([*parts, *moved])
     return uid
 
 
@@ -235,17 +240,24 @@ def _effort_target(
     return draft_id(page.frame.id, new[0]) if len(new) == 1 else None
 
 
+# Attempts to store a correction while other frames of its track are changed, as by an object that is being followed.
+ATTEMPTS = 5
+
+
 def apply_changes(
     project: Project,
     frame_id: int,
     payloads: Sequence[Payload],
     context: WriteContext,
     open_frame: Callable[[], OpenFrame],
-) -> Receipt:
+) -> int:
     """Stores changes to one frame and the changes they imply, as one action: all or none.
 
     Args:
         open_frame: returns the frame; called only if finished objects must be remeasured.
+
+    Returns:
+        The number of unreviewed boxes of corrected boxes' tracks that have moved along (`key_frames`).
 
     Raises:
         StaleRevisionError: the frame was changed in the meantime.
@@ -253,18 +265,58 @@ def apply_changes(
         FrameError: objects must be remeasured, but the frame cannot be read.
         ProjectError: unknown class.
     """
+    for attempt in range(1, ATTEMPTS + 1):
+        # if another change comes between this read and the append, the append refuses the stale revision
+        page = read_page(project, frame_id)
+        moved, boxes = _in_other_frames(project, page, payloads, context)
+        try:
+            project.log.append_to_frames([*parts_of(project, page, payloads, context, open_frame), *moved])
+        except StaleRevisionError:
+            is_own = project.frames.get(frame_id).revision != context.revision
+            if is_own or not moved or attempt == ATTEMPTS:
+                raise
+        else:
+            break
+    return boxes
+
+
+def parts_of(
+    project: Project,
+    page: FramePage,
+    payloads: Sequence[Payload],
+    context: WriteContext,
+    open_frame: Callable[[], OpenFrame] | None = None,
+) -> list[FramePart]:
+    """Changes to one frame, and those that they imply there and on the images of other cameras."""
     if not any(isinstance(entry, ImageBoxesSet | LabelChanged | LabelDeleted) for entry in payloads):
-        return project.log.append(frame_id, payloads, context)
-    # if another change comes between this read and the append, the append refuses the stale revision
-    page = read_page(project, frame_id)
-    parts = [FramePart(frame_id, [*payloads, *_implied(project, page, payloads, open_frame)], context)]
+        return [FramePart(page.frame.id, payloads, context)]
+    parts = [FramePart(page.frame.id, [*payloads, *_implied(project, page, payloads, open_frame)], context)]
     for other_id, implied in _on_other_images(project, page, payloads):
         revision = parts[-1].context.revision + len(parts[-1].payloads)
         parts.append(FramePart(other_id, implied, replace(context, revision=revision, effort=None)))
-    if len(parts) == 1:
-        return project.log.append(frame_id, parts[0].payloads, context)
-    receipts = project.log.append_to_frames(parts)
-    return Receipt(tuple(id for receipt in receipts for id in receipt.event_ids), receipts[-1].revision)
+    return parts
+
+
+def _in_other_frames(
+    project: Project, page: FramePage, payloads: Sequence[Payload], context: WriteContext
+) -> tuple[list[FramePart], int]:
+    """What corrected boxes change in other frames of their tracks; the number of boxes that move along there."""
+    before = {stored.label.uid: stored for stored in page.labels}
+    by_frame, boxes = defaultdict[StoredFrame, list[Payload]](list), 0
+    for entry in payloads:
+        if not isinstance(entry, LabelChanged) or entry.box is None or entry.state is not ReviewState.EDITED:
+            continue
+        stored = before.get(entry.uid)
+        is_same = "track_id" not in entry.model_fields_set or (stored and entry.track_id == stored.label.track_id)
+        if stored is not None and is_same:
+            for frame, events in moved_along(project, page.frame, stored, entry.box.box()):
+                by_frame[frame] += events
+                boxes += 1
+    parts = [
+        FramePart(frame.id, events, replace(context, revision=frame.revision, effort=None))
+        for frame, events in by_frame.items()
+    ]
+    return parts, boxes
 
 
 def _on_other_images(
@@ -280,7 +332,7 @@ def _on_other_images(
 
 
 def _implied(
-    project: Project, page: FramePage, payloads: Sequence[Payload], open_frame: Callable[[], OpenFrame]
+    project: Project, page: FramePage, payloads: Sequence[Payload], open_frame: Callable[[], OpenFrame] | None
 ) -> list[Payload]:
     on_image = next((entry for entry in reversed(payloads) if isinstance(entry, ImageBoxesSet)), None)
     implied: list[Payload] = []
@@ -290,7 +342,7 @@ def _implied(
             return implied
         implied.append(on_image)
     implied += view_followers(page, on_image)
-    if changes_kind(page, on_image):
+    if open_frame is not None and changes_kind(page, on_image):
         opened = open_frame()
         implied += remeasured(page, opened, label_config(project, opened.frame), on_image)
     return implied

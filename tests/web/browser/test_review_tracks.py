@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import threading
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -112,12 +113,13 @@ def test_a_track_is_continued_filled_and_stepped_through(desk: Desk, wait_for) -
     has_boxes(page, 2)
     desk.settled()
     desk.press("i")
+    expect(page.get_by_test_id("track-count")).to_have_text("This proposes 2 boxes in place of 2 other proposals.")
+    page.keyboard.press("Enter")
     has_boxes(page, 4)
     for frame in frames[1:3]:
         (filled,) = of_track(desk, frame)
         assert filled.state is ReviewState.PROPOSED
         np.testing.assert_allclose(filled.box.center_m, first.box.center_m, atol=1e-9)
-    expect(page.get_by_test_id("act-fill")).to_be_enabled()
     page.get_by_test_id("color-by-track").check()
     page.get_by_test_id("timeline-strip").get_by_role("button").nth(1).click()
     expect(page.get_by_test_id("frame-position")).to_have_text("2 / 5")
@@ -164,7 +166,7 @@ def test_the_operator_chooses_which_of_two_boxes_of_a_track_stays(desk: Desk, wa
     desk.settled()
     desk.press("v")
     expect(page.get_by_text("Select a reviewed box to follow, or accept this one first")).to_be_visible()
-    expect(page.get_by_test_id("act-fill")).to_be_hidden()
+    expect(page.get_by_test_id("track-fill")).to_be_hidden()
     desk.press("Shift+N")
     expect(page.get_by_text("This box has no track")).to_be_visible()
 
@@ -245,6 +247,65 @@ def test_a_frames_boxes_are_accepted_together_and_later_ones_corrected_alike(des
     np.testing.assert_allclose([label.box.size_m[0] for label in later], np.add(before[1:], 0.5), atol=1e-4)
     assert all(label.state is ReviewState.PROPOSED for label in later)
     desk.settled()
+
+
+def test_a_whole_track_changes_once_the_page_has_told_what_that_changes(desk: Desk, wait_for) -> None:
+    page, project = desk.page, desk.project
+    project.configure(classes=("person", "robot"))
+    frames = [frame.id for frame in project.frames.of()]
+    uids = []
+    for place, frame in enumerate(frames):
+        state = ReviewState.ACCEPTED if place in (0, 4) else ReviewState.PROPOSED
+        new = NewLabel("person", truths(desk, place)[0].box, track_id=7, state=state)
+        uids += project.labels.create(frame, [new], WriteContext(project.frames.get(frame).revision, "Ada")).uids
+
+    def numbers() -> list[int | None]:
+        return [project.labels.get(uid).label.track_id for uid in uids]
+
+    def answer(told: str) -> None:
+        expect(page.get_by_test_id("track-count")).to_have_text(f"This {told}.")
+        page.keyboard.press("Enter")
+        expect(page.get_by_test_id("track-operation")).to_have_count(0)
+        desk.settled()
+
+    def undo(is_done: Callable[[], bool]) -> None:
+        desk.press("Control+z")
+        wait_for(is_done)
+        desk.settled()
+
+    show(desk, 2, uids[2])
+    desk.press("h")
+    answer("changes 3 boxes to number 8, 1 of them reviewed")
+    assert numbers() == [7, 7, 8, 8, 8]
+    expect(page.get_by_test_id("field-track")).to_have_value("8")
+    # both are one object after all
+    page.get_by_test_id("track-merge").click()
+    page.get_by_test_id("track-other").fill("7")
+    answer("changes 3 boxes to number 7, 1 of them reviewed")
+    assert numbers() == [7] * 5
+    undo(lambda: numbers() == [7, 7, 8, 8, 8])
+    undo(lambda: numbers() == [7] * 5)
+    expect(page.get_by_test_id("frame-position")).to_have_text("3 / 5")
+
+    desk.press("Shift+2")
+    answer("changes 5 boxes, 2 of them reviewed")
+    assert {project.labels.get(uid).label.label for uid in uids} == {"robot"}
+    undo(lambda: {project.labels.get(uid).label.label for uid in uids} == {"person"})
+
+    desk.press("Shift+Delete")
+    expect(page.get_by_test_id("track-count")).to_have_text("This deletes 3 boxes, 1 of them reviewed.")
+    page.keyboard.press("Escape")
+    assert numbers() == [7] * 5
+
+    # a corrected box takes those along that are not reviewed, up to the reviewed ones
+    before = [project.labels.get(uid).label.box.center_m[0] for uid in uids]
+    page.get_by_test_id("field-center-x").fill(str(round(before[2] + 2.0, 6)))
+    page.get_by_test_id("field-center-x").press("Enter")
+    expect(page.get_by_text("2 unreviewed boxes of the track moved along")).to_be_visible()
+    after = [project.labels.get(uid).label.box.center_m[0] for uid in uids]
+    np.testing.assert_array_equal(np.abs(np.subtract(after, before)) > 1e-6, [False, True, True, True, False])
+    page.locator("body").click(position={"x": 2, "y": 2})
+    undo(lambda: [project.labels.get(uid).label.box.center_m[0] for uid in uids] == before)
 
 
 def truths(desk: Desk, index: int) -> list[Truth]:

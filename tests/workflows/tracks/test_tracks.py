@@ -26,9 +26,10 @@ from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionErro
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.proposing.annotate import annotate
-from annotator.workflows.tracks.copy_next import carry_correction, copy_next, corrected_alike
-from annotator.workflows.tracks.interpolate import box_fitter, interpolate, interpolate_back
+from annotator.workflows.tracks.copy_next import copy_next
+from annotator.workflows.tracks.key_frames import carry_correction, corrected_alike
 from annotator.workflows.tracks.link import AUTHOR, link_tracks
+from annotator.workflows.tracks.operations import Count, Fill, apply, box_fitter
 from annotator.workflows.tracks.propose_boxes import proposal_events, write
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.save_object import copy_boxes
@@ -111,15 +112,20 @@ def test_finalised_frames_are_linked_but_not_changed(room: Room, owner: dict[str
     assert project.history.next(ANN)[0] == "finalise frame 000000"
 
 
-def test_frames_between_key_frames_are_filled_as_one_action(room: Room) -> None:
-    people, frames, recording = room.project, room.frames, room.recording
-    first, last = room.accept_box(0, room.box(0)), room.accept_box(4, room.box(4))
+def fill(room: Room, track_id: int = 3, **options: Any) -> Count:
+    return apply(room.project, room.recording, track_id, Fill(**options), ANN)
+
+
+def test_frames_between_boxes_are_filled_as_one_action(room: Room) -> None:
+    people, frames = room.project, room.frames
+    room.accept_box(0, room.box(0))
+    room.accept_box(4, room.box(4))
     # frame 1 has open proposals of this person and of another one; in frame 2 the person's box is rejected
     old = room.propose(1, room.box(1), room.box(1, 1))
     (rejected,) = room.propose(2, room.box(2))
     people.labels.reject(frames[2].id, rejected, room.context(2))
-    done = interpolate(people, recording, 3, ANN)
-    assert ([frame for frame, _ in done.filled], done.covered) == ([frames[1].id, frames[3].id], 1)
+    done = fill(room)
+    assert (done.proposed, done.deleted, done.reviewed, done.covered) == (2, 1, 0, 1)
     new = [[label for label in room.labels(index) if label.track_id == 3] for index in range(5)]
     assert [len(labels) for labels in new] == [1, 1, 0, 1, 1]
     assert [uid in {label.uid for label in room.labels(1)} for uid in old] == [False, True]
@@ -131,22 +137,16 @@ def test_frames_between_key_frames_are_filled_as_one_action(room: Room) -> None:
     people.history.undo(ANN)
     assert {label.uid for label in room.labels(1)} == set(old)
     assert room.labels(3) == []
-    # as requested by the page, back from the current box
-    assert interpolate_back(people, frames[4].id, last, room.context(4).revision, ANN).filled
-    with pytest.raises(StaleRevisionError):
-        interpolate_back(people, frames[4].id, last, 0, ANN)
-    with pytest.raises(ConfigError, match="no reviewed box in an earlier frame"):
-        interpolate_back(people, frames[0].id, first, room.context(0).revision, ANN)
+    # only within a span
+    assert fill(room, first=frames[2].id).proposed == 1
+    people.history.undo(ANN)
     for n in (1, 3):
         people.frames.finalise(frames[n].id, room.context(n))
-    for track, options, match in (
-        (3, {}, r"no frame to fill .*\(2 finalised, 1 reviewed or rejected\)"),
-        (5, {}, "track 5 has 0 reviewed boxes"),
-        (10**20, {}, "track ids are at most 9007199254740992, not 1e\\+20"),
-        (3, {"first": "000001"}, "frame 000001 has no reviewed box of track 3"),
-    ):
+    with pytest.raises(ConfigError, match=r"unchanged: 2 in finalised frames, 1 where a box is reviewed or rejected"):
+        fill(room)
+    for track, match in ((5, "track 5 of people has no boxes"), (10**20, "at most 9007199254740992, not 1e\\+20")):
         with pytest.raises(ConfigError, match=match):
-            interpolate(people, recording, track, ANN, **options)
+            fill(room, track)
 
 
 def test_a_batch_assigns_tracks_of_reviewed_boxes_to_proposals(room: Room, knowing: Callable[..., Detectors]) -> None:
@@ -202,7 +202,7 @@ def test_boxes_carried_to_other_frames_enclose_what_the_reviewed_one_does(room: 
     people, frames = room.project, room.frames
     for n in (0, 3):
         uid = room.accept_box(n, room.box(n), box_kind=kind)
-    interpolate(people, room.recording, 3, ANN)
+    fill(room)
     copy(room, 3, uid)
     assert [room.labels(index)[0].box_kind for index in range(5)] == [kind] * 5
     people.history.undo(ANN)
@@ -261,10 +261,10 @@ def along(room: Room, track_id: int = 3) -> list[dict[str, Any] | None]:
     return [dict(by_frame[frame.id].attributes) if frame.id in by_frame else None for frame in room.frames]
 
 
-def test_interpolated_boxes_have_the_values_of_the_nearer_key_frame(valued: Room) -> None:
+def test_filled_frames_have_the_values_of_the_nearer_box(valued: Room) -> None:
     valued.accept_box(0, valued.box(0), attributes=SITTING)
     valued.accept_box(4, valued.box(4), attributes=STANDING)
-    interpolate(valued.project, valued.recording, 3, ANN)
+    fill(valued)
     # the middle frame is as near to both: the earlier one counts
     assert along(valued) == [SITTING, SITTING, SITTING, STANDING, STANDING]
 

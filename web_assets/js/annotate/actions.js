@@ -81,12 +81,12 @@ export function createActions(host, act) {
     /**
      * @param {{ label: PageLabel | null, frame: FrameState | null, gizmoMode: Api.Gizmo, busy: boolean,
      *     isDrawing: boolean, isMoreOpen: boolean, isTeaching: boolean, canAccept: boolean }} shown isMoreOpen: there
-     *     are proposals, here or elsewhere; canAccept: boxes on the pseudo-views are suggested.
+     *     are proposals, here or in the queue that is worked; canAccept: boxes on the pseudo-views are suggested.
      */
     show({ label, frame, gizmoMode, busy, isDrawing, isMoreOpen, isTeaching, canAccept }) {
       for (const one of [reject, refit, turn, remove]) one.disabled = !label || busy;
       const isReviewed = label?.state === "accepted" || label?.state === "edited";
-      accept.disabled = busy || !(label || isMoreOpen || canAccept);
+      accept.disabled = busy || !((label && !isReviewed) || isMoreOpen || canAccept);
       for (const [i, one] of views.entries()) one.setAttribute("aria-pressed", String(isTeaching === (i === 1)));
       const [text, title] =
         (isReviewed || !label) && !canAccept

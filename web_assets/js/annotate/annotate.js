@@ -29,7 +29,7 @@ import { createScene } from "./scene.js";
 import { createSheet } from "./sheet.js";
 import { createBoxList, createQueueList } from "./side_lists.js";
 import { createTeach } from "./teach.js";
-import { createTracks } from "./tracks.js";
+import { createTracks, OPERATIONS } from "./tracks.js";
 
 /** Whether the top view is shown in place of the 3D view. */
 const MAP_KEPT = "top-view";
@@ -72,13 +72,14 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     queue,
     preload,
     open: goInQueue,
+    next: () => (opening.inQueue ? (queue.items[0] ?? null) : null),
     isFollowed: (track) => follow.isFollowed(track),
   });
   const tracks = createTracks(parts.track, app, desk, {
     open: go,
     sheet: () => commands.whenCalm(sheet.show),
-    async onCarried() {
-      // they have new uids
+    async onChanged() {
+      // they may have new uids
       await queue.load();
       sheet.again();
     },
@@ -175,7 +176,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       isDrawing: image.isDrawing,
       isTeaching: teach.isOn,
       canAccept: teach.canAccept,
-      isMoreOpen: queue.items.length > 0 || desk.labels().some(isOpen),
+      isMoreOpen: (opening.inQueue && queue.items.length > 0) || desk.labels().some(isOpen),
     });
   }
 
@@ -467,8 +468,11 @@ export function bindings({
     "follow-all-back": once(() => commands.followAll("backward")),
     "copy-next": once(() => commands.whenCalm(() => tracks.copyToNext())),
     carry: once(() => commands.whenCalm(() => tracks.carry())),
-    interpolate: once(() => commands.whenCalm(() => tracks.interpolate())),
-    "interpolate-refit": once(() => commands.whenCalm(() => tracks.interpolate(true))),
+    ...Object.fromEntries(
+      Object.entries(OPERATIONS)
+        .filter(([, { key }]) => key)
+        .map(([id]) => [`track-${id}`, once((key) => commands.whenCalm(() => tracks.operate(id, key)))]),
+    ),
     sheet: once(() => commands.whenCalm(sheet.show)),
     "next-of-track": once(() => commands.whenCalm(() => tracks.step(1))),
     "previous-of-track": once(() => commands.whenCalm(() => tracks.step(-1))),

@@ -37,8 +37,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
 
   /**
    * What is reviewed after a decision. In the queue, its next item; but a box that is removed never takes the operator
-   * to another frame. Otherwise the most doubtful open box of the frame, or none: to go on to the queue from there,
-   * accept a box that is reviewed already.
+   * to another frame. Otherwise the most doubtful open box of the frame: one that was opened by itself is never left.
    *
    * @returns {Target | null}
    */
@@ -50,16 +49,19 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     const isBox = next === null || next.uid !== null;
     if (opening.inQueue && isBox && (!isRemoved || next?.frame === frame)) return next;
     const open = mostDoubtful(desk.labels().filter((one) => isOpen(one) && one.uid !== label.uid));
-    if (open) return { frame, uid: open.uid };
-    return kind === "accept" && isReviewed(label) ? next : null;
+    return open ? { frame, uid: open.uid } : null;
   }
 
-  /** Selects the most doubtful open box of the frame if nothing is selected, or else goes on to the queue. */
+  /** Selects the most doubtful open box of the frame if nothing is selected, or else goes on in the queue. */
   function goOn() {
     const next = queue.after(null, opening.opened);
     if (desk.labels().some(isOpen)) opening.pick(null);
-    else if (next) void opening.go(next, true);
+    else if (opening.inQueue && next) void opening.go(next, true);
+    else sayReviewed();
   }
+
+  const sayReviewed = () =>
+    app.toast("All boxes of this frame are reviewed. N: the next frame. A click in the queue goes on there.");
 
   /**
    * Accepts, rejects or deletes the selected box, and goes to the next one. Saving a draft counts as accepting. A new
@@ -74,6 +76,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     const { id: frame } = currentFrame(app).frame;
     const before = opening.openings;
     const next = kind === "accept" && label.isNew ? null : nextAfter(kind, label);
+    if (!next && kind === "accept" && isReviewed(label)) sayReviewed();
     const saved = save(kind, label);
     // a box of the same frame is selected at once; another frame is opened after saving
     if (next?.frame === frame) desk.select(next.uid);
@@ -108,13 +111,12 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
   async function acceptAll() {
     const label = desk.shown;
     if (!label) return;
-    const goesOn = opening.inQueue || !desk.labels().some(isOpen);
     const before = opening.openings;
     if (!(await desk.commit()) || !(await desk.acceptAll()) || before !== opening.openings) return;
     const left = desk.labels().find(isOpen);
     const next = queue.after(label.uid, opening.opened);
     if (left) desk.select(left.uid);
-    else if (next && goesOn) await opening.go(next, true);
+    else if (next && opening.inQueue) await opening.go(next, true);
   }
 
   async function refit() {

@@ -120,7 +120,10 @@ export function createDesk(/** @type {App} */ app) {
   ) {
     const body = { revision: currentFrame(app).frame.revision, changes, subject };
     try {
-      app.frames.take(await app.api.change(app.path("frames", id, "changes"), body));
+      /** @type {Api.ChangedJson} */
+      const { moved, ...state } = await app.api.change(app.path("frames", id, "changes"), body);
+      app.frames.take(state);
+      if (moved > 0) app.toast(`${count(moved, "unreviewed box", "unreviewed boxes")} of the track moved along.`);
     } catch (error) {
       if (isStale(error)) {
         await resolveStale(app, error, { changes, subject, take: app.frames.take });

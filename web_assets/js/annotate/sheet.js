@@ -20,13 +20,13 @@ const WIDTH = 292;
 const HEIGHT = 96;
 
 /**
- * `open` shows a box in its frame; `isFollowed` returns whether more boxes of a track are being found.
+ * `open` shows a box in its frame; `next` returns the one to go on with; `isFollowed` returns whether more boxes of a track are being found.
  *
  * @param {ModeApp} app
  * @param {{ desk: Desk, queue: Queue, preload: ReturnType<typeof import("./preload.js").createPreload>,
- *     open: (target: Target) => unknown, isFollowed: (track: number) => boolean }} parts
+ *     open: (target: Target) => unknown, next: () => Target | null, isFollowed: (track: number) => boolean }} parts
  */
-export function createSheet(app, { desk, queue, preload, open, isFollowed }) {
+export function createSheet(app, { desk, queue, preload, open, next, isFollowed }) {
   /**
    * Tracks whose sheet was left to correct a box, as "recording/track".
    *
@@ -265,8 +265,8 @@ export function createSheet(app, { desk, queue, preload, open, isFollowed }) {
     stop();
     closed.abort();
     if (done?.wrong) left.add(nameOf(track));
-    const next = done && (done.wrong ?? queue.items[0]);
-    if (next) await open({ frame: next.frame, uid: next.uid });
+    const target = done && (done.wrong ?? next());
+    if (target) await open({ frame: target.frame, uid: target.uid });
   }
 
   return { show: () => show(true), again };
