@@ -23,7 +23,7 @@ from annotator.project import Project, StoredRecording, open_project
 from annotator.project.config import check_name
 from annotator.project.database.store import BUSY_TIMEOUT_S, patience_s, waiting_at_most
 from annotator.types.errors import AnnotatorError, ConfigError, NotFoundError, ProjectError
-from annotator.web.errors import NotSignedInError, hide_paths
+from annotator.web.errors import NotSignedInError, hide_paths, without_commands
 from annotator.web.folders import JOBS_FOLDER, Folders
 from annotator.web.follow_runs import FollowRuns
 from annotator.web.hub import Announcer, Hub
@@ -133,7 +133,11 @@ class Context:
             return list(self._projects.items())
 
     def public_message(self, text: str) -> str:
-        """A message for browsers: absolute paths are replaced, so that it names files but not their folders."""
+        """A message for browsers: it names files but not their folders, and no command of the terminal."""
+        return self.without_paths(without_commands(text))
+
+    def without_paths(self, text: str) -> str:
+        """A message whose absolute paths are replaced, so that it names files but not their folders."""
         return as_sent(hide_paths(text, self._path_names()), self.settings.projects_root.absolute().name)
 
     def public(self, text: str | None) -> str | None:

@@ -46,7 +46,7 @@ def test_roots_have_names_that_do_not_reveal_their_paths(tmp_path: Path, tree: P
     other = tmp_path / "other" / "data"
     other.mkdir(parents=True)
     folders = Folders((tree, other, tree, tmp_path / "missing"))
-    listing = folders.list("")
+    listing = folders.list("").entries
     assert [(e.name, e.path, e.recording) for e in listing] == [
         ("data", "data", None),
         ("data-2", "data-2", None),
@@ -60,8 +60,34 @@ def test_roots_have_names_that_do_not_reveal_their_paths(tmp_path: Path, tree: P
 def test_sub_folders_and_links_inside_are_listed(tree: Path) -> None:
     folders = Folders((tree,))
     listing = folders.list("data")
-    assert [entry.path for entry in listing] == ["data/inside", "data/sub"]
+    assert [entry.path for entry in listing.entries] == ["data/inside", "data/sub"]
     assert folders.find("data/inside/deep") == tree / "sub" / "deep"
+    files, links = listing.notes
+    assert files == "1 file (1 .txt), which alone are no recording"
+    assert links.startswith(
+        "4 links (circle, nowhere, outside, sibling) lead to a place that this server does not offer"
+    )
+    assert "a KITTI object folder: image_2/, velodyne/, calib/" in listing.kinds
+
+
+def test_a_folder_without_a_recording_says_what_is_there_and_nearest(tree: Path) -> None:
+    (tree / "sub" / "image_2").mkdir()
+    (tree / "sub" / "take.zip").write_bytes(b"")
+    assert Folders((tree,)).list("data/sub").notes == (
+        "1 file (1 .zip), which alone are no recording",
+        "it is an archive; unpack it, and give the folder",
+        "it looks like a KITTI object folder: velodyne/ and calib/ are missing",
+    )
+
+
+def test_a_path_on_this_computer_can_be_typed(tree: Path, generated: Path) -> None:
+    folders = Folders((tree, generated))
+    assert folders.list(f"{tree}/sub/").entries == folders.list("data/sub").entries
+    listing = folders.list(str(generated / "people"))
+    assert listing.here is not None and listing.here.path == f"{generated.name}/people"
+    for path in (f"{tree}/../secret", f"{tree}/outside", f"{tree}-2", f"{tree}/.hidden"):
+        with pytest.raises(NotFoundError):
+            folders.list(path)
 
 
 TRICKS = (
@@ -95,19 +121,19 @@ def test_a_folder_that_may_not_be_read(tree: Path) -> None:
 
 
 def test_recordings_are_recognised_and_a_folder_with_a_cloud_can_still_be_opened(tree: Path, generated: Path) -> None:
-    entries = Folders((generated,)).list(generated.name)
+    entries = Folders((generated,)).list(generated.name).entries
     assert [(entry.name, entry.recording) for entry in entries] == [("hands", "rgbd_folder"), ("people", "rgbd_folder")]
     (tree / "sub" / "stray.npy").write_bytes(b"")
-    entries = Folders((tree,)).list("data")
+    entries = Folders((tree,)).list("data").entries
     shown = [(entry.name, entry.recording, entry.is_folder) for entry in entries]
     assert shown == [("inside", "cloud_folder", True), ("sub", "cloud_folder", True)]
 
 
 def test_folders_through_the_api(live: Live, generated: Path) -> None:
-    (top,) = live.client.get("/api/folders").json()
+    (top,) = live.client.get("/api/folders").json()["entries"]
     assert top == {"name": generated.name, "path": generated.name, "recording": None, "is_folder": True}
     inside = live.client.get("/api/folders", params={"path": generated.name}).json()
-    assert [entry["name"] for entry in inside] == ["hands", "people"]
+    assert [entry["name"] for entry in inside["entries"]] == ["hands", "people"]
     for target in ("folders", "bags"):
         answer = live.client.get(f"/api/{target}", params={"path": f"{generated.name}/../.."})
         assert (answer.status_code, answer.json()["error"]["kind"]) == (404, "NotFoundError")

@@ -5,6 +5,7 @@
 
 import { confirm, keyTableDialog } from "./dialogs.js";
 import { glyph, h, iconButton, patch } from "./dom.js";
+import { NAMES, waiting } from "./jobs.js";
 import { makeHash } from "./router.js";
 import { signOut } from "./session.js";
 
@@ -171,8 +172,9 @@ function jobs(/** @type {App} */ app) {
     if (!running) return;
     const mode = running.kind === "export" ? "export" : "train";
     link.href = ["import", "copy"].includes(running.kind) ? "#/" : makeHash(running.project, mode);
-    link.title = `${running.kind} in ${running.project}: ${running.stage}`;
-    text.textContent = running.state === "queued" ? `${running.kind} queued` : running.kind;
+    const isQueued = running.state === "queued";
+    link.title = `${NAMES[running.kind]} in ${running.project}: ${isQueued ? waiting(running, app.state.jobs) : running.stage}`;
+    text.textContent = isQueued ? `${NAMES[running.kind]} waits` : NAMES[running.kind];
     if (running.total > 0) bar.value = running.done / running.total;
     else bar.removeAttribute("value");
   };

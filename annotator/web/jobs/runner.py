@@ -202,6 +202,7 @@ class JobRunner:
             kind=request.kind,
             created_ns=time.time_ns(),
             operator=operator,
+            heavy=request.kind in HEAVY,
             background=in_background(request),
         )
         task = _Task(job.id, order)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import zipfile
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from annotator.detection.config import TrainingConfig
@@ -35,6 +35,7 @@ from annotator.workflows.importing import (
     BoxFormat,
     Importer,
     ImportReport,
+    Note,
     import_image_boxes,
     import_labels,
     import_proposals,
@@ -224,7 +225,8 @@ def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFor
 
 
 def _imported(done: ImportReport) -> Outcome:
-    return Outcome(done.text(), {"frames": done.frames, "boxes": done.boxes.total()})
+    unknown = dict(done.of(Note.OTHER_CLASS))
+    return Outcome(done.text(), {"frames": done.frames, "boxes": done.boxes.total(), "unknown": unknown})
 
 
 def _proposed(done: AnnotateSummary, source: str = "") -> Outcome:
@@ -244,8 +246,9 @@ def import_work(job: JobContext, request: ImportRequest) -> Outcome:
     every = ImportReport(Become.LABELS, job.project.config.classes)
     for recording in [job.project.recordings.get(number) for number in request.recordings]:
         counter = job.counter(f"read the boxes of {recording.name}")
-        every.include(import_own_labels(job.project, recording.id, counter))
-    return _imported(every)
+        every.include(import_own_labels(job.project, recording.id, counter, request.names))
+    outcome = _imported(every)
+    return replace(outcome, result=outcome.result | {"recordings": list(request.recordings)})
 
 
 def copy_work(job: JobContext, request: CopyRequest) -> Outcome:
