@@ -225,13 +225,14 @@ def not_in_use(folder: Path) -> Iterator[None]:
 
 # Renaming and setting aside are one rename, which other processes notice: the store refuses to write to a database that
 # is no longer at its place (`database/store.py`).
-REMOVED = ".removed"
+REMOVED, REMOVED_AT = ".removed", "%Y%m%dT%H%M%S%fZ"
+_STAMP = re.compile(r"\d{8}T\d{12}Z")
 
 
 def set_aside(project: Path) -> Path:
     """Moves a project, which may be damaged, into the folder `.removed` beside it; returns its new folder."""
     removed = project.parent / REMOVED
-    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%fZ")
+    stamp = datetime.now(UTC).strftime(REMOVED_AT)
     aside = removed / f"{project.name}-{stamp}"
     try:
         with not_in_use(project):
@@ -243,6 +244,33 @@ def set_aside(project: Path) -> Path:
     except OSError as error:
         raise ProjectError(f"{project}: cannot be moved to {removed}: {error.strerror}") from error
     return aside
+
+
+def removed_projects(root: Path) -> list[tuple[Path, str]]:
+    """The folders of the removed projects of a projects folder, each with the project's name, the newest first."""
+    try:
+        found = [(path, path.name.rpartition("-")) for path in (root / REMOVED).iterdir()]
+    except OSError:  # nothing was removed yet, or the folder is not ours to read
+        return []
+    latest = sorted(found, key=lambda each: each[1][2], reverse=True)
+    return [
+        (path, name)
+        for path, (name, _, stamp) in latest
+        if _STAMP.fullmatch(stamp) and path.is_dir() and not path.is_symlink()
+    ]
+
+
+def take_back(removed: Path, name: str) -> Path:
+    """Moves a removed project back to the other projects; returns its folder."""
+    path = free_path(removed.parent.parent, name)
+    try:
+        # never replaces a folder with content, which another process may have made meanwhile
+        removed.rename(path)
+        sync_folder(removed.parent)
+        sync_folder(path.parent)
+    except OSError as error:
+        raise ProjectError(f"{removed}: cannot be moved to {path}: {error.strerror}") from error
+    return path
 
 
 def rename_project(project: Path, name: str) -> str:

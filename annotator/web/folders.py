@@ -151,7 +151,7 @@ def _on_files(folder: Path, files: Sequence[str]) -> list[str]:
     suffixes = Counter(Path(name).suffix.lower() or "without a suffix" for name in files)
     counted = ", ".join(f"{number} {suffix}" for suffix, number in suffixes.most_common(MOST_NAMED))
     told = dict.fromkeys(ADVICE[suffix] for suffix in suffixes if suffix in ADVICE)
-    return [f"{amount(len(files), 'file')} ({counted}), which alone are no recording", *told]
+    return [f"{amount(len(files), 'file is', 'files are')} no recording: {counted}", *told]
 
 
 def _on_links(names: Sequence[str]) -> list[str]:

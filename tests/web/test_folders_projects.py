@@ -63,7 +63,7 @@ def test_sub_folders_and_links_inside_are_listed(tree: Path) -> None:
     assert [entry.path for entry in listing.entries] == ["data/inside", "data/sub"]
     assert folders.find("data/inside/deep") == tree / "sub" / "deep"
     files, links = listing.notes
-    assert files == "1 file (1 .txt), which alone are no recording"
+    assert files == "1 file is no recording: 1 .txt"
     assert links.startswith(
         "4 links (circle, nowhere, outside, sibling) lead to a place that this server does not offer"
     )
@@ -74,7 +74,7 @@ def test_a_folder_without_a_recording_says_what_is_there_and_nearest(tree: Path)
     (tree / "sub" / "image_2").mkdir()
     (tree / "sub" / "take.zip").write_bytes(b"")
     assert Folders((tree,)).list("data/sub").notes == (
-        "1 file (1 .zip), which alone are no recording",
+        "1 file is no recording: 1 .zip",
         "it is an archive; unpack it, and give the folder",
         "it looks like a KITTI object folder: velodyne/ and calib/ are missing",
     )
@@ -273,6 +273,19 @@ def test_a_renamed_project_keeps_its_labels_and_jobs(live: Live) -> None:
     listed = {each["id"]: each["project"] for each in live.client.get("/api/jobs").json()}
     assert listed[job.id] == "hall"
     assert live.client.get(f"/api/jobs/{job.id}/download").status_code == 200
+
+
+def test_a_removed_project_is_listed_and_brought_back_unless_its_name_is_taken(live: Live) -> None:
+    label_one(live)
+    removed = live.client.delete(ROOM).json()
+    assert (removed["name"], live.client.get(ROOM).status_code) == ("room", 404)
+    assert live.client.get("/api/removed-projects").json() == [removed]
+    restore = f"/api/removed-projects/{removed['id']}/restore"
+    live.client.post("/api/projects", json={"name": "room", "classes": ["person"]})
+    assert live.client.post(restore).status_code == 400
+    live.client.post(f"{ROOM}/rename", json={"name": "other"})
+    assert live.client.post(restore).json()["labels_by_state"]["accepted"] == 1
+    assert (live.client.get("/api/removed-projects").json(), live.client.post(restore).status_code) == ([], 404)
 
 
 def test_a_project_in_use_is_neither_renamed_nor_removed(

@@ -102,7 +102,10 @@ export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
       text.textContent = describe(job, app.state.jobs);
       // boxes of classes that the project does not have are no success
       const { unknown = {}, recordings } = /** @type {ImportResult} */ (job.result ?? {});
-      const hasLeftOut = Object.keys(unknown).length > 0;
+      const classes = Object.keys(unknown);
+      const hasLeftOut = classes.length > 0;
+      if (hasLeftOut && recordings)
+        text.prepend(`Left out: the boxes of ${classes.join(", ")}, which the project does not have as classes. `);
       text.className = `grow${job.state === "failed" ? " bad" : hasLeftOut ? " warn" : ""}`;
       choose.hidden = !hasLeftOut || !recordings;
       stop.hidden = !isActive(job);

@@ -5,7 +5,8 @@ labels and frames.
 from __future__ import annotations
 
 import logging
-import shlex
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Body
@@ -24,11 +25,11 @@ from annotator.project import (
 )
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import AttributeName, Value
-from annotator.project.config import rename_project, set_aside
+from annotator.project.config import REMOVED_AT, removed_projects, rename_project, set_aside, take_back
 from annotator.project.database.store import waiting_at_most
 from annotator.project.overview import ClassList, list_classes
 from annotator.types import DetectorKind
-from annotator.types.errors import AnnotatorError
+from annotator.types.errors import AnnotatorError, NotFoundError
 from annotator.web.context import AtProject, Context, Ctx, InProject, Operator
 from annotator.web.errors import INTERNAL
 from annotator.web.frame_json import STALE, AtFrame
@@ -200,10 +201,11 @@ class NewName(Schema):
 
 
 class RemovedProject(BaseModel):
-    """Where a removed project is now, and the command that brings it back."""
+    """A removed project: the name of its folder now, its own name, and when it was removed, UTC seconds."""
 
-    folder: str
-    command: str
+    id: str
+    name: str
+    removed_s: float
 
 
 @router.get("/api/projects")
@@ -249,8 +251,27 @@ def remove(name: str, ctx: Ctx, operator: Operator) -> RemovedProject:
     with ctx.closed(name) as folder:
         aside = set_aside(folder)
     ctx.hub.send({"type": "removed", "project": name, "operator": operator})
-    place = ctx.public_message(str(aside.absolute()))
-    return RemovedProject(folder=place, command=shlex.join(["annotator", "project", "copy", place, name]))
+    return _removed(aside, name)
+
+
+@router.get("/api/removed-projects")
+def removed(ctx: Ctx, operator: Operator) -> list[RemovedProject]:
+    """The removed projects, the newest first."""
+    return [_removed(path, name) for path, name in removed_projects(ctx.settings.projects_root)]
+
+
+@router.post("/api/removed-projects/{id}/restore")
+def restore(id: str, ctx: Ctx, operator: Operator) -> ProjectSummary:
+    """Bring a removed project back under its name."""
+    for path, name in removed_projects(ctx.settings.projects_root):
+        if path.name == id:
+            return summary(ctx, ListedProject(take_back(path, name), None))
+    raise NotFoundError(f"there is no removed project {id!r}; it may have been brought back already")
+
+
+def _removed(path: Path, name: str) -> RemovedProject:
+    removed = datetime.strptime(path.name.rpartition("-")[2], REMOVED_AT).replace(tzinfo=UTC)
+    return RemovedProject(id=path.name, name=name, removed_s=removed.timestamp())
 
 
 class ValuesIn(FrameChange):

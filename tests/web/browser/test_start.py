@@ -182,12 +182,13 @@ def test_recordings_and_projects_are_managed_from_a_menu(room: Project, start: P
     expect(get("remove-dialog").get_by_role("alert")).to_have_text("Please type the name of the project: hall")
     get("new-name").fill("hall")
     get("dialog-remove").click()
-    expect(get("removed-dialog")).to_contain_text("annotator project copy projects/.removed/hall-")
-    get("dialog-close").click()
+    expect(get("project-hall")).to_have_count(0)
+    get("removed").locator("summary").click()
+    get("bring-back-hall").click()
+    expect(get("project-hall")).to_contain_text("3 accepted")
     choose("remove", "hall-copy")  # without labels, no name has to be typed
     expect(get("new-name")).to_have_count(0)
     get("dialog-remove").click()
-    get("dialog-close").click()
     expect(get("project-hall-copy")).to_have_count(0)
 
 

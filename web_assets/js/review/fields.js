@@ -265,16 +265,21 @@ function describe(/** @type {PageLabel} */ label) {
     rows.push(["Doubt", percent(label.doubt), "sets the 'Most doubtful first' order of the queue"]);
   if (label.quality) {
     rows.push([
-      "Disagree",
+      "Views differ",
       percent(label.quality.view_disagreement),
       "difference between the views' measurements, as a share of the box's size",
     ]);
-    rows.push(["Kept", percent(label.quality.kept_share), "share of the last view's points that are in the box"]);
+    const kept = percent(label.quality.kept_share);
+    rows.push(["Points in box", kept, "share of the points in the last view that are in the box"]);
     if (label.quality.expected_iou_loss !== null) {
       const loss = percent(label.quality.expected_iou_loss);
-      rows.push(["Unsure", loss, "expected 1 - IoU with the true box, from how well the views' measurements fit"]);
+      rows.push([
+        "May be off by",
+        loss,
+        "expected 1 - IoU with the true box, from how well the views' measurements fit",
+      ]);
     }
-    rows.push(["Last step", percent(label.quality.last_change), "how much the last step changed the box"]);
+    rows.push(["Still moved by", percent(label.quality.last_change), "how much the last measurement changed the box"]);
   }
   const facts = rows.map(([name, value, help]) =>
     h("div", { title: `${name}: ${help}` }, h("dt", {}, name), h("dd", { class: "number ellipsis" }, value)),

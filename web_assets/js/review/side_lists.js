@@ -129,7 +129,7 @@ function queueRow(
   /** @type {(target: Target) => unknown} */ open,
 ) {
   const isOurs = item.sources.every((name) => name === OWN);
-  const place = `${recordings.size > 1 ? `${recordings.get(item.recording) ?? ""} ` : ""}${item.key}`;
+  const place = `${recordings.size > 1 ? `${recordings.get(item.recording) ?? ""}, ` : ""}frame ${item.key}`;
   return h(
     "li",
     { "data-key": item.uid },
@@ -144,7 +144,7 @@ function queueRow(
       {
         class: "quiet row-button",
         "aria-current": isCurrent ? "true" : null,
-        title: `${item.label}, frame ${place}${isOurs ? "" : `, seen by ${item.sources.join(", ")}`}`,
+        title: `${item.label}, ${place}${isOurs ? "" : `, seen by ${item.sources.join(", ")}`}`,
         "data-testid": "queue-item",
         "data-uid": item.uid,
       },

@@ -269,9 +269,8 @@ export async function manageRecordings(/** @type {App} */ app, /** @type {string
   }
 
   async function remove(/** @type {Api.ListedRecording} */ { id, name, labels }) {
-    const text =
-      `Its ${count(labels, "label")} stay in the project's history, and come back with it. Until then they are ` +
-      "neither shown nor counted, exported or trained on. Its files stay where they are.";
+    const until = "are not shown, counted, exported or trained on until you bring it back.";
+    const text = `${labels ? `Its ${count(labels, "label")} ${until} ` : ""}Its files stay where they are.`;
     if (await confirm(`Remove ${name} from ${project}?`, text, "Remove", "danger")) {
       await show(app.api.del(path(id)));
     }
@@ -356,7 +355,7 @@ function explain(
     lines.push(
       h(
         "details",
-        {},
+        { open: !hasAny },
         h("summary", {}, "What a recording must have"),
         h(
           "ul",

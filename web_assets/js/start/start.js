@@ -6,7 +6,7 @@ import { messageOf } from "../errors.js";
 import { createJobLine, followImports, isActive, isOfImport, takeJob } from "../jobs.js";
 import { makeHash } from "../router.js";
 import { importBoxes } from "./boxes_file.js";
-import { createMenu, createProject } from "./manage.js";
+import { createMenu, createProject, createRemoved } from "./manage.js";
 import { addRecordings, locateRecording } from "./recordings.js";
 
 const STATES = ["proposed", "accepted", "edited", "rejected"];
@@ -23,11 +23,13 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
    * @type {Set<string>}
    */
   const started = new Set();
+  const removed = createRemoved(app, refresh);
   const page = h(
     "div",
     { class: "page start" },
     h("div", { class: "row" }, h("h1", { class: "grow" }, "Projects"), newButton()),
     list,
+    removed.root,
     h("p", { class: "help" }, app.state.version ? `annotator ${app.state.version}` : ""),
   );
 
@@ -80,6 +82,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
     try {
       /** @type {Api.ProjectSummary[]} */
       const projects = await app.api.get("/api/projects");
+      await removed.load();
       const menu = list.querySelector(":popover-open");
       const text = JSON.stringify(projects);
       // new cards would take an open menu away, and a click whose button is down
