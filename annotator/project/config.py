@@ -86,6 +86,7 @@ class ProjectSettings(Strict):
             the recursion is run (`annotator.workflows.settings`), not here.
         learn_every: while the page is open, a round of training in the background after so many more reviewed boxes;
             None: never.
+        learn_minutes: length of such a round.
         backup_hours: while a server runs, an automatic backup so many hours after the first change since the last one;
             None: never.
     """
@@ -93,6 +94,7 @@ class ProjectSettings(Strict):
     rotation: BoxRotation = BoxRotation.AUTO
     rcv: dict[str, JsonValue] = Field(default_factory=dict)
     learn_every: int | None = Field(None, ge=1)
+    learn_minutes: float = Field(3.0, gt=0.0)
     backup_hours: float | None = Field(4.0, gt=0.0)
     backups_kept: int = Field(5, ge=1, le=1000)
 

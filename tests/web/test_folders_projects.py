@@ -151,7 +151,7 @@ def test_a_project_can_be_created_and_filled(
     assert client.get("/api/projects/two").json()["frames"] == 5, "its frames are available at once"
     done = ended(live, added["job"])
     assert (done["state"], done["message"], done["total"]) == ("done", "imported as labels: 15 person in 5 frames", 5)
-    assert done["result"] == {"frames": 5, "boxes": 15}
+    assert done["result"] == {"frames": 5, "boxes": 15, "unknown": {}, "recordings": [1]}
     again = client.post(place, json={"path": f"{generated.name}/people", "labels": False}).json()
     assert (again["added"][0]["is_new"], again["added"][0]["new_frames"], again["job"]) == (False, 0, None)
     monkeypatch.setattr("annotator.web.jobs.runner.MOST_WAITING", 0)

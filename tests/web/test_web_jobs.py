@@ -281,7 +281,7 @@ MATERIAL = ("image", "view", "labels", "to_lift")
 def test_a_project_without_models(live: Live) -> None:
     answer = live.client.get(MODELS).json()
     assert answer.pop("base") in (None, "in use")
-    assert answer == {"models": [], "learn_every": None, "material": dict.fromkeys(MATERIAL, 0)}
+    assert answer == {"models": [], "learn_every": None, "learn_minutes": 3.0, "material": dict.fromkeys(MATERIAL, 0)}
     assert live.client.put(f"{MODELS}/learning", json={"every": 0}).status_code == 422
     assert live.client.post(f"{MODELS}/1/activate").status_code == 404
     assert live.client.get(f"{MODELS}/1/pictures/0.jpg").status_code == 404

@@ -11,6 +11,7 @@ export const NAMES = {
   export: "export",
   import: "import of boxes",
   copy: "copy of a project",
+  sample: "sample project",
 };
 
 export const isActive = (/** @type {Api.Job} */ job) => job.state === "queued" || job.state === "running";
@@ -140,7 +141,7 @@ function describe(/** @type {Api.Job} */ job, /** @type {Api.Job[]} */ jobs) {
 // -- jobs of the start page, which has no open project and receives no events of them
 
 /** @type {Api.Job["kind"][]} */
-const KINDS = ["import", "boxes", "copy"];
+const KINDS = ["import", "boxes", "copy", "sample"];
 /** Such a job takes between a moment and minutes, so the interval between requests grows. */
 const WAIT_MS = { first: 700, longest: 5000, growth: 1.5 };
 

@@ -12,6 +12,7 @@ import { createEffort } from "./effort.js";
 import { ApiError, isAborted, messageOf } from "./errors.js";
 import { createEvents } from "./events.js";
 import { createFrameState, createState } from "./frame_state.js";
+import { mountGuide } from "./guide.js";
 import { createKeys } from "./keys.js";
 import { makeHash, parseHash } from "./router.js";
 import { signIn } from "./session.js";
@@ -354,6 +355,7 @@ async function start() {
   app.events.on("reconnected", () => void (isBroken ? follow() : catchUp()));
   app.events.on("connection", (connected) => app.state.set({ connected }));
   mountTopbar(topbar, app);
+  mountGuide(app);
   try {
     /** @type {Api.Session} */
     const session = await app.api.get("/api/session");

@@ -171,7 +171,7 @@ function jobs(/** @type {App} */ app) {
     link.hidden = !running;
     if (!running) return;
     const mode = running.kind === "export" ? "export" : "train";
-    link.href = ["import", "copy"].includes(running.kind) ? "#/" : makeHash(running.project, mode);
+    link.href = ["import", "copy", "sample"].includes(running.kind) ? "#/" : makeHash(running.project, mode);
     const isQueued = running.state === "queued";
     link.title = `${NAMES[running.kind]} in ${running.project}: ${isQueued ? waiting(running, app.state.jobs) : running.stage}`;
     text.textContent = isQueued ? `${NAMES[running.kind]} waits` : NAMES[running.kind];

@@ -156,8 +156,21 @@ class CopyRequest(Schema):
     labels: bool = True
 
 
+class SampleRequest(Schema):
+    """Generate the sample recording, and add it to the project."""
+
+    kind: Literal["sample"]
+
+
 JobRequest = Annotated[
-    TrainRequest | ProposeRequest | LiftRequest | BoxesRequest | ExportRequest | ImportRequest | CopyRequest,
+    TrainRequest
+    | ProposeRequest
+    | LiftRequest
+    | BoxesRequest
+    | ExportRequest
+    | ImportRequest
+    | CopyRequest
+    | SampleRequest,
     Field(discriminator="kind"),
 ]
 
@@ -167,7 +180,7 @@ def in_background(request: JobRequest) -> bool:
     return isinstance(request, TrainRequest) and request.background
 
 
-JobKind = Literal["train", "propose", "lift", "boxes", "export", "import", "copy"]
+JobKind = Literal["train", "propose", "lift", "boxes", "export", "import", "copy", "sample"]
 # Those that keep the processor busy run one after the other. So do the others, which never wait for the first ones.
 HEAVY: tuple[JobKind, ...] = ("train", "propose", "lift")
 # Kind of job -> "module:function" of the work, which takes a `JobContext` and the request. A string, so that the server

@@ -25,6 +25,7 @@ from annotator.web.jobs.records import (
     LiftRequest,
     Outcome,
     ProposeRequest,
+    SampleRequest,
     TrainRequest,
 )
 from annotator.web.uploads import find_upload, remove_upload
@@ -46,6 +47,7 @@ from annotator.workflows.proposing.annotate import AnnotateSummary, annotate_wit
 from annotator.workflows.proposing.engines import EngineName, make_engine
 from annotator.workflows.proposing.lift import boxes_of_file, drawn_boxes, lift, require_known
 from annotator.workflows.recorded.own_labels import import_own_labels
+from annotator.workflows.sample import add_sample
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.train import VIEW_DEFAULTS, Trained, TrainPlan, image_defaults, train
 from annotator.workflows.workbench.loaded_detectors import require_view
@@ -257,6 +259,12 @@ def copy_work(job: JobContext, request: CopyRequest) -> Outcome:
     copy_project(folder, folder.parent, request.name, progress=counter, labels=request.labels, sent=False)
     without = "" if request.labels else ", without labels"
     return Outcome(f"copied to {request.name}{without}", {"project": request.name})
+
+
+def sample_work(job: JobContext, request: SampleRequest) -> Outcome:
+    """Generates the sample recording."""
+    frames = add_sample(job.project, job.counter("generate a recording of people in a room"))
+    return Outcome(f"{amount(frames, 'frame')} generated", {"frames": frames})
 
 
 def export_work(job: JobContext, request: ExportRequest) -> Outcome:

@@ -33,8 +33,10 @@ from annotator.types.errors import AnnotatorError, NotFoundError
 from annotator.web.context import AtProject, Context, Ctx, InProject, Operator
 from annotator.web.errors import INTERNAL
 from annotator.web.frame_json import STALE, AtFrame
+from annotator.web.jobs.records import Job, SampleRequest
 from annotator.web.schemas import ClassName, FrameChange, FrameStateJson, Schema, Uid
 from annotator.workflows.detectors import stand_in
+from annotator.workflows.sample import create_sample
 
 LOG = logging.getLogger("annotator.web")
 
@@ -50,11 +52,20 @@ class MissingRecording(BaseModel):
 
 
 class ProjectSummary(BaseModel):
-    """One project in a list; `problem`: why it cannot be opened; `missing`: recordings whose path is gone."""
+    """One project in a list.
+
+    Attributes:
+        frames_done: number of frames with boxes of which none is an open proposal.
+        first_frame: id of the first frame, if there is one.
+        problem: why it cannot be opened.
+        missing: recordings whose path is gone.
+    """
 
     name: str
     classes: list[str]
     frames: int
+    frames_done: int = 0
+    first_frame: int | None = None
     recordings: int
     labels_by_state: dict[str, int]
     problem: str | None = None
@@ -129,6 +140,8 @@ def summary_of(name: str, project: Project) -> ProjectSummary:
         name=name,
         classes=list(project.config.classes),
         frames=counts.frames,
+        frames_done=counts.frames_with_labels - counts.frames_with_proposals,
+        first_frame=project.frames.first(),
         recordings=counts.recordings,
         labels_by_state={state.value: number for state, number in counts.labels.by_state.items()},
         missing=[
@@ -220,6 +233,13 @@ def create(body: NewProject, ctx: Ctx, operator: Operator) -> ProjectSummary:
     settings = ProjectSettings(rotation=body.rotation)
     create_project(ctx.settings.projects_root, body.name, body.classes, settings=settings).close()
     return summary_of(body.name, ctx.project(body.name))
+
+
+@router.post("/api/sample-project", status_code=201)
+def sample(ctx: Ctx, operator: Operator) -> Job:
+    """Create a project to try the page with; the job generates its recording."""
+    path = create_sample(ctx.settings.projects_root)
+    return ctx.jobs.add(path.name, path, SampleRequest(kind="sample"), operator)
 
 
 @router.get("/api/projects/{name}")
