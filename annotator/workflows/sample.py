@@ -29,6 +29,11 @@ def create_sample(root: Path) -> Path:
         return project.path
 
 
+def is_generated(root: Path) -> bool:
+    """Whether an earlier sample of a projects folder has generated the recording."""
+    return (root / SAMPLES / RECORDING).is_dir()
+
+
 def add_sample(project: Project, progress: Callable[[int, int], None] | None = None) -> int:
     """Adds the generated recording to a project; returns the number of frames.
 
@@ -36,7 +41,7 @@ def add_sample(project: Project, progress: Callable[[int, int], None] | None = N
         progress: called with (frames generated, frames); not if the recording is there already.
     """
     place = project.path.parent / SAMPLES / RECORDING
-    if not place.is_dir():
+    if not is_generated(project.path.parent):
         private_folder(place.parent)
         write_generated(place, "people", FRAMES, SEED, report=progress)
     return register_recording(project, open_recording(place)).frames

@@ -275,6 +275,23 @@ def test_a_renamed_project_keeps_its_labels_and_jobs(live: Live) -> None:
     assert live.client.get(f"/api/jobs/{job.id}/download").status_code == 200
 
 
+def test_a_sample_is_generated_once_and_can_be_read_also_from_other_computers(
+    live: Live, in_threads: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("annotator.workflows.sample.FRAMES", 2)
+    monkeypatch.setattr("annotator.web.context.is_loopback", lambda host: False)
+    with running(replace(live.settings, projects_root=tmp_path / "others")) as server:
+        first = server.client.post("/api/sample-project").json()
+        assert ended(server, first["job"])["message"] == "2 frames generated"
+        second = server.client.post("/api/sample-project").json()
+        assert (first["name"], second) == ("sample", {"name": "sample-2", "job": None})
+        for name in ("sample", "sample-2"):
+            assert server.client.get(f"/api/projects/{name}/frames/1").status_code == 200
+        listed = server.client.get("/api/projects").json()
+        facts = [(each["name"], each["frames"], each["frames_done"], each["first_frame"]) for each in listed]
+        assert facts == [("sample", 2, 0, 1), ("sample-2", 2, 0, 1)]
+
+
 def test_a_removed_project_is_listed_and_brought_back_unless_its_name_is_taken(live: Live) -> None:
     label_one(live)
     removed = live.client.delete(ROOM).json()

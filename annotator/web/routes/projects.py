@@ -36,7 +36,7 @@ from annotator.web.frame_json import STALE, AtFrame
 from annotator.web.jobs.records import Job, SampleRequest
 from annotator.web.schemas import ClassName, FrameChange, FrameStateJson, Schema, Uid
 from annotator.workflows.detectors import stand_in
-from annotator.workflows.sample import create_sample
+from annotator.workflows.sample import add_sample, create_sample, is_generated
 
 LOG = logging.getLogger("annotator.web")
 
@@ -235,11 +235,21 @@ def create(body: NewProject, ctx: Ctx, operator: Operator) -> ProjectSummary:
     return summary_of(body.name, ctx.project(body.name))
 
 
+class Sample(BaseModel):
+    """A project to try the page with; the job generates its recording, if no earlier sample has left it."""
+
+    name: str
+    job: Job | None
+
+
 @router.post("/api/sample-project", status_code=201)
-def sample(ctx: Ctx, operator: Operator) -> Job:
-    """Create a project to try the page with; the job generates its recording."""
+def sample(ctx: Ctx, operator: Operator) -> Sample:
+    """Create a project to try the page with."""
     path = create_sample(ctx.settings.projects_root)
-    return ctx.jobs.add(path.name, path, SampleRequest(kind="sample"), operator)
+    if is_generated(path.parent):
+        add_sample(ctx.project(path.name))
+        return Sample(name=path.name, job=None)
+    return Sample(name=path.name, job=ctx.jobs.add(path.name, path, SampleRequest(kind="sample"), operator))
 
 
 @router.get("/api/projects/{name}")

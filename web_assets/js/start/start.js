@@ -50,8 +50,9 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
 
   async function begunSample() {
     try {
-      /** @type {Api.Job} */
-      const job = await app.api.post("/api/sample-project");
+      /** @type {Api.Sample} */
+      const { name, job } = await app.api.post("/api/sample-project");
+      if (!job) return open(name);
       sample = job.id;
       takeJob(app, job);
       await refresh();
@@ -60,13 +61,16 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
     }
   }
 
+  function open(/** @type {string} */ name) {
+    guide(name);
+    app.go(makeHash(name, "review"));
+  }
+
   /** Opens the sample once it is there. */
   function openSample() {
     const job = app.state.jobs.find(({ id, state }) => id === sample && state === "done");
-    if (!job) return false;
-    guide(job.project);
-    app.go(makeHash(job.project, "review"));
-    return true;
+    if (job) open(job.project);
+    return Boolean(job);
   }
 
   async function make() {
