@@ -180,6 +180,11 @@ def in_background(request: JobRequest) -> bool:
     return isinstance(request, TrainRequest) and request.background
 
 
+def expected_s(request: JobRequest) -> float | None:
+    """How long a job takes before its progress shows it, seconds: the minutes of a training, for each detector."""
+    return request.minutes * 60 * len(request.roles) if isinstance(request, TrainRequest) and request.minutes else None
+
+
 JobKind = Literal["train", "propose", "lift", "boxes", "export", "import", "copy", "sample"]
 # Those that keep the processor busy run one after the other. So do the others, which never wait for the first ones.
 HEAVY: tuple[JobKind, ...] = ("train", "propose", "lift")

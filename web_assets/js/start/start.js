@@ -240,14 +240,8 @@ function card(project, { add, addBoxes, locate, change, line, menu }) {
     h("p", { class: "number states" }, stateCounts(labels)),
     ...project.missing.map((recording) => missing(recording, () => locate(name, recording))),
     line,
-    h(
-      "div",
-      { class: "row" },
-      next && link(name, next.mode, next.text),
-      h("span", { class: "grow" }),
-      addButton,
-      boxesButton,
-    ),
+    h("div", { class: "row next" }, next && link(name, next.mode, next.text)),
+    h("div", { class: "row" }, addButton, boxesButton),
   );
   return box;
 }

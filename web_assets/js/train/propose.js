@@ -127,7 +127,7 @@ export function createPropose(/** @type {HTMLElement} */ host, /** @type {ModeAp
     const ready = image !== null && (view !== null || stand_in !== null);
     start.disabled = !ready || project.recordings.length === 0 || Boolean(job && isActive(job));
     const kept = "Reviewed boxes and finalised frames are not changed.";
-    const missing = stand_in ? "Train an image detector first." : "Train both detectors first.";
+    const missing = `Train ${stand_in ? "an image detector" : "both detectors"} first, or choose one that was trained.`;
     note.textContent = [ready ? kept : missing, stand_in ? `View detector: ${stand_in}.` : ""].join(" ").trim();
     const waiting = project.labels_by_state.proposed ?? 0;
     review.hidden = waiting === 0;
