@@ -54,6 +54,9 @@ function duration(/** @type {number} */ seconds) {
  * @param {() => Api.Job | null | undefined} [find]
  */
 export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
+  /** The job that imports what the one of this line has left out. */
+  let rest = "";
+  const current = () => app.state.jobs.find(({ id }) => id === rest) ?? find();
   const text = h("span", { class: "grow", "data-testid": `job-${kind}-text` });
   const bar = h("progress", { max: 1, "aria-label": "Progress" });
   const left = h("span", { class: "muted number" });
@@ -70,18 +73,21 @@ export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
   );
 
   async function importRest() {
-    const job = find();
+    const job = current();
     if (!job) return;
     try {
       const { importLeftOut } = await import("./start/class_choice.js");
-      await importLeftOut(app, job);
+      const begun = await importLeftOut(app, job);
+      if (!begun) return;
+      rest = begun.id;
+      takeJob(app, begun);
     } catch (error) {
       app.toast(error);
     }
   }
 
   async function cancel() {
-    const job = find();
+    const job = current();
     if (!job) return;
     stop.disabled = true;
     try {
@@ -96,7 +102,7 @@ export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
   return {
     root,
     show() {
-      const job = find();
+      const job = current();
       root.hidden = !job;
       if (!job) return;
       root.dataset.state = job.state;

@@ -52,7 +52,7 @@ def test_a_new_project_can_be_created_filled_and_opened(
     expect(dialog.get_by_test_id("job-import-text")).to_have_text("imported as labels: 15 person in 5 frames")
     start.get_by_test_id("dialog-done").click()
     card = start.get_by_test_id("project-crowd")
-    expect(card).to_contain_text("1 recording, 5 frames")
+    expect(card).to_contain_text("1 recording, 5 of 5 frames done")
     expect(card).to_contain_text("15 accepted")
     expect(card.get_by_test_id("job-import")).to_be_hidden()
     project = live.context.project("crowd")

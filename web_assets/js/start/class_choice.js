@@ -3,7 +3,6 @@
 import { projectPath } from "../api.js";
 import { openDialog } from "../dialogs.js";
 import { count, h } from "../dom.js";
-import { takeJob } from "../jobs.js";
 
 /** Values of a choice beside the project's classes; these have at least one character. */
 const LEAVE_OUT = "";
@@ -80,7 +79,11 @@ export function createClassChoice(app, { name, classes }, areAdded) {
   };
 }
 
-/** Asks about the classes that an import of recorded boxes left out, and imports these boxes. */
+/**
+ * Asks about the classes that an import of recorded boxes left out. Returns the job that imports these boxes, or null.
+ *
+ * @returns {Promise<Api.Job | null>}
+ */
 export async function importLeftOut(/** @type {App} */ app, /** @type {Api.Job} */ { project, result }) {
   const { unknown, recordings } = /** @type {ImportResult} */ (result);
   const choice = createClassChoice(app, await app.api.get(projectPath(project)), true);
@@ -96,8 +99,7 @@ export async function importLeftOut(/** @type {App} */ app, /** @type {Api.Job} 
     async submit(value) {
       if (value === "cancel") return null;
       const names = await choice.take();
-      takeJob(app, await app.api.post(projectPath(project, "jobs"), { kind: "import", recordings, names }));
-      return value;
+      return app.api.post(projectPath(project, "jobs"), { kind: "import", recordings, names });
     },
   });
 }

@@ -160,12 +160,10 @@ function askMoved(
   });
 }
 
-/** The progress of reading the boxes, which continues when the dialog is closed, and of what is imported after it. */
+/** The progress of reading the boxes, which continues when the dialog is closed. */
 function jobLine(/** @type {App} */ app, /** @type {Api.Job} */ job) {
   takeJob(app, job);
-  const isLater = (/** @type {Api.Job} */ { kind, project, created_ns }) =>
-    kind === job.kind && project === job.project && created_ns >= job.created_ns;
-  const line = createJobLine(app, "import", () => app.state.jobs.find(isLater) ?? job);
+  const line = createJobLine(app, "import", () => app.state.jobs.find(({ id }) => id === job.id) ?? job);
   const stop = app.state.on("jobs", () => {
     if (line.root.isConnected) line.show();
     else stop();
