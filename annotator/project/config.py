@@ -6,7 +6,8 @@ import os
 import re
 import weakref
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -228,7 +229,6 @@ def not_in_use(folder: Path) -> Iterator[None]:
 # Renaming and setting aside are one rename, which other processes notice: the store refuses to write to a database that
 # is no longer at its place (`database/store.py`).
 REMOVED, REMOVED_AT = ".removed", "%Y%m%dT%H%M%S%fZ"
-_STAMP = re.compile(r"\d{8}T\d{12}Z")
 
 
 def set_aside(project: Path) -> Path:
@@ -248,30 +248,38 @@ def set_aside(project: Path) -> Path:
     return aside
 
 
-def removed_projects(root: Path) -> list[tuple[Path, str]]:
-    """The folders of the removed projects of a projects folder, each with the project's name, the newest first."""
-    try:
-        found = [(path, path.name.rpartition("-")) for path in (root / REMOVED).iterdir()]
-    except OSError:  # nothing was removed yet, or the folder is not ours to read
-        return []
-    latest = sorted(found, key=lambda each: each[1][2], reverse=True)
-    return [
-        (path, name)
-        for path, (name, _, stamp) in latest
-        if _STAMP.fullmatch(stamp) and path.is_dir() and not path.is_symlink()
-    ]
+@dataclass(frozen=True)
+class Removed:
+    """A removed project: its folder now, its name, and when it was removed."""
+
+    path: Path
+    name: str
+    at: datetime
 
 
-def take_back(removed: Path, name: str) -> Path:
+def removed_projects(root: Path) -> list[Removed]:
+    """The removed projects of a projects folder, the newest first."""
+    found = []
+    with suppress(OSError):  # nothing was removed yet, or the folder is not ours to read
+        for path in (root / REMOVED).iterdir():
+            name, _, stamp = path.name.rpartition("-")
+            with suppress(ValueError):  # not from here
+                at = datetime.strptime(stamp, REMOVED_AT).replace(tzinfo=UTC)
+                if name and path.is_dir() and not path.is_symlink():
+                    found.append(Removed(path, name, at))
+    return sorted(found, key=lambda each: each.at, reverse=True)
+
+
+def take_back(removed: Removed) -> Path:
     """Moves a removed project back to the other projects; returns its folder."""
-    path = free_path(removed.parent.parent, name)
+    path = free_path(removed.path.parent.parent, removed.name)
     try:
         # never replaces a folder with content, which another process may have made meanwhile
-        removed.rename(path)
-        sync_folder(removed.parent)
+        removed.path.rename(path)
+        sync_folder(removed.path.parent)
         sync_folder(path.parent)
     except OSError as error:
-        raise ProjectError(f"{removed}: cannot be moved to {path}: {error.strerror}") from error
+        raise ProjectError(f"{removed.path}: cannot be moved to {path}: {error.strerror}") from error
     return path
 
 

@@ -5,8 +5,6 @@ labels and frames.
 from __future__ import annotations
 
 import logging
-from datetime import UTC, datetime
-from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Body
@@ -25,7 +23,7 @@ from annotator.project import (
 )
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import AttributeName, Value
-from annotator.project.config import REMOVED_AT, removed_projects, rename_project, set_aside, take_back
+from annotator.project.config import Removed, removed_projects, rename_project, set_aside, take_back
 from annotator.project.database.store import waiting_at_most
 from annotator.project.overview import ClassList, list_classes
 from annotator.types import DetectorKind
@@ -281,27 +279,26 @@ def remove(name: str, ctx: Ctx, operator: Operator) -> RemovedProject:
     with ctx.closed(name) as folder:
         aside = set_aside(folder)
     ctx.hub.send({"type": "removed", "project": name, "operator": operator})
-    return _removed(aside, name)
+    return _removed(next(each for each in removed_projects(aside.parent.parent) if each.path == aside))
 
 
 @router.get("/api/removed-projects")
 def removed(ctx: Ctx, operator: Operator) -> list[RemovedProject]:
     """The removed projects, the newest first."""
-    return [_removed(path, name) for path, name in removed_projects(ctx.settings.projects_root)]
+    return [_removed(each) for each in removed_projects(ctx.settings.projects_root)]
 
 
 @router.post("/api/removed-projects/{id}/restore")
 def restore(id: str, ctx: Ctx, operator: Operator) -> ProjectSummary:
     """Bring a removed project back under its name."""
-    for path, name in removed_projects(ctx.settings.projects_root):
-        if path.name == id:
-            return summary(ctx, ListedProject(take_back(path, name), None))
+    for each in removed_projects(ctx.settings.projects_root):
+        if each.path.name == id:
+            return summary(ctx, ListedProject(take_back(each), None))
     raise NotFoundError(f"there is no removed project {id!r}; it may have been brought back already")
 
 
-def _removed(path: Path, name: str) -> RemovedProject:
-    removed = datetime.strptime(path.name.rpartition("-")[2], REMOVED_AT).replace(tzinfo=UTC)
-    return RemovedProject(id=path.name, name=name, removed_s=removed.timestamp())
+def _removed(each: Removed) -> RemovedProject:
+    return RemovedProject(id=each.path.name, name=each.name, removed_s=each.at.timestamp())
 
 
 class ValuesIn(FrameChange):
