@@ -118,7 +118,7 @@ def with_edge_errors(trained: TrainedModel, dataset: Path, manifest: DatasetMani
         for path, picture, boxes in zip(part, pictures, detector.detect(pictures), strict=True):
             height, width = picture.rgb.shape[:2]
             scale = trained.image_size_px / max(height, width)
-            for label in _labels(dataset, path, manifest.classes, width, height):
+            for label in read_boxes(dataset, path, manifest.classes, width, height):
                 box = _detection_of(label, boxes)
                 if box is not None and box.edge_sigma_px is not None:
                     known = ~(_at_border(label, width, height) | _at_border(box, width, height))
@@ -135,7 +135,7 @@ def with_edge_errors(trained: TrainedModel, dataset: Path, manifest: DatasetMani
     return trained.model_copy(update={"edge_errors": fitted})
 
 
-def _labels(dataset: Path, image: Path, classes: Sequence[str], width_px: int, height_px: int) -> list[Box2D]:
+def read_boxes(dataset: Path, image: Path, classes: Sequence[str], width_px: int, height_px: int) -> list[Box2D]:
     """The boxes of an image's label file, pixels."""
     boxes = []
     split = image.parent.name

@@ -6,7 +6,8 @@ import os
 import re
 import weakref
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -88,6 +89,7 @@ class ProjectSettings(Strict):
             the recursion is run (`annotator.workflows.settings`), not here.
         learn_every: while the page is open, a round of training in the background after so many more reviewed boxes;
             None: never.
+        learn_minutes: length of such a round.
         backup_hours: while a server runs, an automatic backup so many hours after the first change since the last one;
             None: never.
     """
@@ -96,6 +98,7 @@ class ProjectSettings(Strict):
     box_kind: BoxKind = BoxKind.SILHOUETTE
     rcv: dict[str, JsonValue] = Field(default_factory=dict)
     learn_every: int | None = Field(None, ge=1)
+    learn_minutes: float = Field(3.0, gt=0.0)
     backup_hours: float | None = Field(4.0, gt=0.0)
     backups_kept: int = Field(5, ge=1, le=1000)
 
@@ -228,13 +231,13 @@ def not_in_use(folder: Path) -> Iterator[None]:
 
 # Renaming and setting aside are one rename, which other processes notice: the store refuses to write to a database that
 # is no longer at its place (`database/store.py`).
-REMOVED = ".removed"
+REMOVED, REMOVED_AT = ".removed", "%Y%m%dT%H%M%S%fZ"
 
 
 def set_aside(project: Path) -> Path:
     """Moves a project, which may be damaged, into the folder `.removed` beside it; returns its new folder."""
     removed = project.parent / REMOVED
-    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%fZ")
+    stamp = datetime.now(UTC).strftime(REMOVED_AT)
     aside = removed / f"{project.name}-{stamp}"
     try:
         with not_in_use(project):
@@ -246,6 +249,41 @@ def set_aside(project: Path) -> Path:
     except OSError as error:
         raise ProjectError(f"{project}: cannot be moved to {removed}: {error.strerror}") from error
     return aside
+
+
+@dataclass(frozen=True)
+class Removed:
+    """A removed project: its folder now, its name, and when it was removed."""
+
+    path: Path
+    name: str
+    at: datetime
+
+
+def removed_projects(root: Path) -> list[Removed]:
+    """The removed projects of a projects folder, the newest first."""
+    found = []
+    with suppress(OSError):  # nothing was removed yet, or the folder is not ours to read
+        for path in (root / REMOVED).iterdir():
+            name, _, stamp = path.name.rpartition("-")
+            with suppress(ValueError):  # not from here
+                at = datetime.strptime(stamp, REMOVED_AT).replace(tzinfo=UTC)
+                if name and path.is_dir() and not path.is_symlink():
+                    found.append(Removed(path, name, at))
+    return sorted(found, key=lambda each: each.at, reverse=True)
+
+
+def take_back(removed: Removed) -> Path:
+    """Moves a removed project back to the other projects; returns its folder."""
+    path = free_path(removed.path.parent.parent, removed.name)
+    try:
+        # never replaces a folder with content, which another process may have made meanwhile
+        removed.path.rename(path)
+        sync_folder(removed.path.parent)
+        sync_folder(path.parent)
+    except OSError as error:
+        raise ProjectError(f"{removed.path}: cannot be moved to {path}: {error.strerror}") from error
+    return path
 
 
 def rename_project(project: Path, name: str) -> str:

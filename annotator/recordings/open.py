@@ -170,8 +170,13 @@ def open_recording(path: Path, options: ReaderOptions = NO_OPTIONS) -> Recording
             return look_around(_scanned(path, name, result), options) if options.look_around else result
     with path_errors(path):
         message = _explain(path)
-    looked_for = [f"{name}: {reader.title}: {', '.join(map(_words, reader.parts))}" for name, reader in READERS.items()]
+    looked_for = [f"{name}: {kind}" for name, kind in zip(READERS, kinds(), strict=True)]
     raise UnknownFormatError(message, tuple(looked_for) if path.exists() else ())
+
+
+def kinds() -> tuple[str, ...]:
+    """What a recording of each format must have, such as "a KITTI object folder: image_2/, velodyne/, calib/"."""
+    return tuple(f"{reader.title}: {', '.join(map(_words, reader.parts))}" for reader in READERS.values())
 
 
 def detect_format(path: Path) -> str | None:

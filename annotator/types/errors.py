@@ -37,6 +37,10 @@ class UnknownFormatError(RecordingError):
         super().__init__(message)
 
 
+class BrokenStartError(RecordingError):
+    """None of the first frames of a recording can be read; the others were not tried."""
+
+
 class FrameError(RecordingError):
     """One frame cannot be read; the rest of the recording may be fine."""
 

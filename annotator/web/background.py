@@ -168,7 +168,8 @@ class Learner:
         # a training that somebody started has learned, too
         learned = self._learned[project] = max(learned, _learned(project, learned))
         if reviewed - learned >= every:
-            self._jobs.add(name, project.path, ROUND, OPERATOR)
+            request = ROUND.model_copy(update={"minutes": project.config.settings.learn_minutes})
+            self._jobs.add(name, project.path, request, OPERATOR)
             self._learned[project] = reviewed
 
 

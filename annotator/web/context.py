@@ -23,14 +23,15 @@ from annotator.project import Project, StoredRecording, open_project
 from annotator.project.config import check_name
 from annotator.project.database.store import BUSY_TIMEOUT_S, patience_s, waiting_at_most
 from annotator.types.errors import AnnotatorError, ConfigError, NotFoundError, ProjectError
-from annotator.web.errors import NotSignedInError, hide_paths
+from annotator.web.errors import NotSignedInError, hide_paths, without_commands
 from annotator.web.folders import JOBS_FOLDER, Folders
 from annotator.web.follow_runs import FollowRuns
 from annotator.web.hub import Announcer, Hub
-from annotator.web.jobs.records import Job
+from annotator.web.jobs.records import Job, require_own_files
 from annotator.web.jobs.runner import JobRunner
 from annotator.web.security import ServerSettings, is_loopback
 from annotator.web.uploads import as_sent
+from annotator.workflows.sample import SAMPLES
 from annotator.workflows.workbench.contact_sheet import SheetPictures
 from annotator.workflows.workbench.drawing_steps import WholeBoxes
 from annotator.workflows.workbench.frame_cache import FrameCache, Memo
@@ -80,7 +81,10 @@ class Context:
         self.announcer = Announcer(self.hub)
         self._temporary: Path | None = None
         # other people must not see more recordings than those they could add, whatever a project names
-        self._readable = None if is_loopback(settings.host) else tuple(path.resolve() for path in settings.folders)
+        samples = settings.projects_root / SAMPLES
+        require_own_files(samples)
+        readable = (*settings.folders, samples)
+        self._readable = None if is_loopback(settings.host) else tuple(path.resolve() for path in readable)
         self.jobs = JobRunner(self._jobs_folder(), self._send_job, self.public_message, readable=self._readable)
         self.follow_runs = FollowRuns(self.hub, self.announcer, self.public_message)
         self.caches = Caches()
@@ -133,7 +137,11 @@ class Context:
             return list(self._projects.items())
 
     def public_message(self, text: str) -> str:
-        """A message for browsers: absolute paths are replaced, so that it names files but not their folders."""
+        """A message for browsers: it names files but not their folders, and no command of the terminal."""
+        return self.without_paths(without_commands(text))
+
+    def without_paths(self, text: str) -> str:
+        """A message whose absolute paths are replaced, so that it names files but not their folders."""
         return as_sent(hide_paths(text, self._path_names()), self.settings.projects_root.absolute().name)
 
     def public(self, text: str | None) -> str | None:

@@ -106,6 +106,20 @@ def hide_paths(text: str, path_names: Iterable[tuple[Path, str]]) -> str:
     return _ABSOLUTE.sub(r"…/\1", text)
 
 
+# A command of the terminal, or an option of one. Aside: in parentheses.
+_COMMAND, _ASIDE = re.compile(r"`annotator\b[^`]*`|(?<![\w-])--[a-z][a-z-]+"), re.compile(r" ?\([^()]*\)")
+
+
+def without_commands(text: str) -> str:
+    """Returns a message for somebody at a page, who has no terminal: what a message says to type there is left out.
+
+    A message is "PROBLEM; WHAT, OR WHAT (HOW)"; those parts of it go that name a command or an option of one.
+    """
+    told = _ASIDE.sub(lambda aside: "" if _COMMAND.search(aside[0]) else aside[0], text)
+    clauses = ([part for part in clause.split(", ") if not _COMMAND.search(part)] for clause in told.split("; "))
+    return "; ".join(", ".join(parts).removeprefix("or ") for parts in clauses if parts) or text
+
+
 def has_absolute_path(text: str) -> bool:
     return _ABSOLUTE.search(text) is not None
 

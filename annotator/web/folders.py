@@ -7,6 +7,7 @@ import logging
 import os
 import re
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -14,14 +15,17 @@ from pathlib import Path
 
 from annotator.files import private_folder, remove_abandoned
 from annotator.project.config import BACKUPS as BACKUPS
-from annotator.recordings import detect_format
+from annotator.recordings import ADVICE, detect_format, kinds, nearest_formats
 from annotator.types.errors import ConfigError, NotFoundError, RecordingError
+from annotator.types.messages import amount, first_few
 from annotator.web.jobs.records import require_own_files
 
 LOG = logging.getLogger("annotator.web")
 
 # Maximum number of listed entries per folder: detecting the format of each takes time.
 MOST_ENTRIES = 1000
+# Names and suffixes that a note lists.
+MOST_NAMED = 4
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,25 @@ class FolderEntry:
     is_folder: bool
 
 
+@dataclass(frozen=True)
+class FolderListing:
+    """What is in a folder.
+
+    Attributes:
+        path: `ROOT/sub/...`; "" for the list of the roots.
+        here: the folder or file itself, if it is a recording.
+        entries: its sub-folders, and the recordings in it.
+        notes: what is not listed and why, and what the folder looks like; one sentence each.
+        kinds: what a recording of each format must have; () if there are recordings.
+    """
+
+    path: str
+    here: FolderEntry | None
+    entries: tuple[FolderEntry, ...]
+    notes: tuple[str, ...] = ()
+    kinds: tuple[str, ...] = ()
+
+
 class Folders:
     """Maps paths of browsers to paths on this computer, under names that do not reveal these.
 
@@ -49,15 +72,48 @@ class Folders:
     def __init__(self, folders: Sequence[Path]) -> None:
         self._roots = dict(_named(folders))
 
-    def list(self, path: str) -> tuple[FolderEntry, ...]:
-        """Lists the sub-folders and recordings of a folder; "" lists the roots."""
+    def list(self, typed: str) -> FolderListing:
+        """Lists the sub-folders and recordings of a folder; "" lists the roots.
+
+        Args:
+            typed: `ROOT/sub/...`, or the path on this computer of a folder or recording within a root.
+        """
+        path = self._below_root(typed)
         if not path:
-            return tuple(_entry(name, name, root) for name, root in self._roots.items())
-        folder = self.find(path)
-        if not folder.is_dir():
-            raise _missing(path)
-        entries = (_entry(name, f"{path}/{name}", place) for name, place in self._children(path, folder))
-        return tuple(e for e in entries if e.is_folder or e.recording is not None)
+            return FolderListing("", None, tuple(_entry(name, name, root) for name, root in self._roots.items()))
+        place = self.find(path)
+        own = _entry(path.rpartition("/")[2], path, place)
+        here = None if own.recording is None else own
+        if not place.is_dir():
+            if here is None:
+                raise _missing(path)
+            return FolderListing(path, here, ())
+        names, unfollowed, entries = _names(path, place), list[str](), list[FolderEntry]()
+        for name in names[:MOST_ENTRIES]:
+            try:
+                entries.append(_entry(name, f"{path}/{name}", self.find(f"{path}/{name}")))
+            except NotFoundError:  # a link that is broken or leads out of the root
+                unfollowed.append(name)
+        shown = tuple(entry for entry in entries if entry.is_folder or entry.recording is not None)
+        is_bare = here is None and not any(entry.recording for entry in shown)
+        notes = [
+            *_on_files(place, [entry.name for entry in entries if entry not in shown] if is_bare else []),
+            *(nearest_formats(place) if is_bare else []),
+            *_on_links(unfollowed),
+            *(
+                [f"only the first {MOST_ENTRIES} of {len(names)} entries are listed"]
+                if len(names) > MOST_ENTRIES
+                else []
+            ),
+        ]
+        return FolderListing(path, here, shown, tuple(notes), kinds() if is_bare and entries else ())
+
+    def _below_root(self, path: str) -> str:
+        """The path for browsers of a path on this computer, as it is written: links and `..` are for `find`."""
+        for root, name in self.roots() if path.startswith("/") else ():
+            if Path(path).is_relative_to(root):
+                return "/".join((name, *Path(path).relative_to(root).parts))
+        return path
 
     def roots(self) -> tuple[tuple[Path, str], ...]:
         """The roots with their names, nested ones first."""
@@ -80,16 +136,32 @@ class Folders:
             raise _missing(path)
         return resolved
 
-    def _children(self, path: str, folder: Path) -> Iterator[tuple[str, Path]]:
-        try:
-            names = sorted(child.name for child in folder.iterdir() if not child.name.startswith("."))
-        except OSError as error:
-            raise NotFoundError(f"{path}: cannot be read ({error.strerror})") from error
-        for name in names[:MOST_ENTRIES]:
-            try:
-                yield name, self.find(f"{path}/{name}")
-            except NotFoundError:  # a link that is broken or leads out of the root
-                continue
+
+def _names(path: str, folder: Path) -> list[str]:
+    try:
+        return sorted(child.name for child in folder.iterdir() if not child.name.startswith("."))
+    except OSError as error:
+        raise NotFoundError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def _on_files(folder: Path, files: Sequence[str]) -> list[str]:
+    """What to say about the files of a folder that are no recordings."""
+    if not files:
+        return []
+    suffixes = Counter(Path(name).suffix.lower() or "without a suffix" for name in files)
+    counted = ", ".join(f"{number} {suffix}" for suffix, number in suffixes.most_common(MOST_NAMED))
+    told = dict.fromkeys(ADVICE[suffix] for suffix in suffixes if suffix in ADVICE)
+    return [f"{amount(len(files), 'file is', 'files are')} no recording: {counted}", *told]
+
+
+def _on_links(names: Sequence[str]) -> list[str]:
+    if not names:
+        return []
+    lead = "leads" if len(names) == 1 else "lead"
+    return [
+        f"{amount(len(names), 'link')} ({first_few(names, MOST_NAMED)}) {lead} to a place that this server does not "
+        "offer, or to nothing; whoever runs the server can offer that folder, too"
+    ]
 
 
 def _entry(name: str, path: str, place: Path) -> FolderEntry:
@@ -105,7 +177,7 @@ def _is_unsafe(part: str) -> bool:
 
 
 def _missing(path: str) -> NotFoundError:
-    return NotFoundError(f"there is no folder or recording {path!r} in the server's folders")
+    return NotFoundError(f"there is no folder or recording {path!r} in the folders that this server offers")
 
 
 def _named(folders: Sequence[Path]) -> Iterator[tuple[str, Path]]:

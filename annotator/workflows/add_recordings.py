@@ -12,7 +12,7 @@ from annotator.project import BoxRotation, Project, StoredRecording
 from annotator.recordings import ReaderOptions, Recording, open_recording, stored_options
 from annotator.recordings.look_around import RigCamera, Scenes
 from annotator.types import Frame
-from annotator.types.errors import ConfigError, FrameError, RecordingError
+from annotator.types.errors import BrokenStartError, ConfigError, FrameError, RecordingError
 from annotator.workflows.frame_source import shared_clouds
 from annotator.workflows.recorded.condition import (
     SECONDS,
@@ -256,8 +256,8 @@ def _with_up_note(project: Project, added: Added, frame: Frame) -> Added:
     if frame.up is not None or stored.up is not None or project.config.settings.rotation is BoxRotation.FREE:
         return added
     note = (
-        f"which way is up is not known: annotator up {project.path.name} {stored.name} --estimate, "
-        "or Alignment on the page"
+        "which way is up is not known; find it in Alignment on the page, or with "
+        f"`annotator up {project.path.name} {stored.name} --estimate`"
     )
     return replace(added, notes=(*added.notes, note))
 
@@ -279,7 +279,7 @@ def _require_unchanged(
     if up is not None and not _same_direction(up, known.up):
         raise ConfigError(
             f"{known.path} is in the project already, with the up direction {known.up or 'that its files give'}; "
-            f"annotator up {project} {known.name} X Y Z changes it"
+            f"`annotator up {project} {known.name} X Y Z` changes it"
         )
 
 
@@ -297,6 +297,5 @@ def _require_readable(recording: Recording, left_out: Collection[str], most: int
             return recording.frame(index)
         except FrameError as error:
             problems.append(str(error))
-    raise RecordingError(
-        f"{recording.path}: none of its first frames can be read ({len(problems)} tried{hint}): {problems[0]}"
-    )
+    kind = BrokenStartError if hint else RecordingError
+    raise kind(f"{recording.path}: none of its first frames can be read ({len(problems)} tried{hint}): {problems[0]}")

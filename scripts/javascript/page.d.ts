@@ -504,6 +504,8 @@ type ExportResult = {
   unreadable?: string[];
   notes?: string[];
 };
+/** The result of an import: of recordings, and the number of boxes of classes that the project does not have. */
+type ImportResult = { recordings?: number[]; unknown: Record<string, number> };
 /** The button beside a recording; its test id ends with the folder's name. */
 type Picker = {
   text: string;

@@ -46,7 +46,7 @@ def test_roots_have_names_that_do_not_reveal_their_paths(tmp_path: Path, tree: P
     other = tmp_path / "other" / "data"
     other.mkdir(parents=True)
     folders = Folders((tree, other, tree, tmp_path / "missing"))
-    listing = folders.list("")
+    listing = folders.list("").entries
     assert [(e.name, e.path, e.recording) for e in listing] == [
         ("data", "data", None),
         ("data-2", "data-2", None),
@@ -60,8 +60,34 @@ def test_roots_have_names_that_do_not_reveal_their_paths(tmp_path: Path, tree: P
 def test_sub_folders_and_links_inside_are_listed(tree: Path) -> None:
     folders = Folders((tree,))
     listing = folders.list("data")
-    assert [entry.path for entry in listing] == ["data/inside", "data/sub"]
+    assert [entry.path for entry in listing.entries] == ["data/inside", "data/sub"]
     assert folders.find("data/inside/deep") == tree / "sub" / "deep"
+    files, links = listing.notes
+    assert files == "1 file is no recording: 1 .txt"
+    assert links.startswith(
+        "4 links (circle, nowhere, outside, sibling) lead to a place that this server does not offer"
+    )
+    assert "a KITTI object folder: image_2/, velodyne/, calib/" in listing.kinds
+
+
+def test_a_folder_without_a_recording_says_what_is_there_and_nearest(tree: Path) -> None:
+    (tree / "sub" / "image_2").mkdir()
+    (tree / "sub" / "take.zip").write_bytes(b"")
+    assert Folders((tree,)).list("data/sub").notes == (
+        "1 file is no recording: 1 .zip",
+        "it is an archive; unpack it, and give the folder",
+        "it looks like a KITTI object folder: velodyne/ and calib/ are missing",
+    )
+
+
+def test_a_path_on_this_computer_can_be_typed(tree: Path, generated: Path) -> None:
+    folders = Folders((tree, generated))
+    assert folders.list(f"{tree}/sub/").entries == folders.list("data/sub").entries
+    listing = folders.list(str(generated / "people"))
+    assert listing.here is not None and listing.here.path == f"{generated.name}/people"
+    for path in (f"{tree}/../secret", f"{tree}/outside", f"{tree}-2", f"{tree}/.hidden"):
+        with pytest.raises(NotFoundError):
+            folders.list(path)
 
 
 TRICKS = (
@@ -95,19 +121,19 @@ def test_a_folder_that_may_not_be_read(tree: Path) -> None:
 
 
 def test_recordings_are_recognised_and_a_folder_with_a_cloud_can_still_be_opened(tree: Path, generated: Path) -> None:
-    entries = Folders((generated,)).list(generated.name)
+    entries = Folders((generated,)).list(generated.name).entries
     assert [(entry.name, entry.recording) for entry in entries] == [("hands", "rgbd_folder"), ("people", "rgbd_folder")]
     (tree / "sub" / "stray.npy").write_bytes(b"")
-    entries = Folders((tree,)).list("data")
+    entries = Folders((tree,)).list("data").entries
     shown = [(entry.name, entry.recording, entry.is_folder) for entry in entries]
     assert shown == [("inside", "cloud_folder", True), ("sub", "cloud_folder", True)]
 
 
 def test_folders_through_the_api(live: Live, generated: Path) -> None:
-    (top,) = live.client.get("/api/folders").json()
+    (top,) = live.client.get("/api/folders").json()["entries"]
     assert top == {"name": generated.name, "path": generated.name, "recording": None, "is_folder": True}
     inside = live.client.get("/api/folders", params={"path": generated.name}).json()
-    assert [entry["name"] for entry in inside] == ["hands", "people"]
+    assert [entry["name"] for entry in inside["entries"]] == ["hands", "people"]
     for target in ("folders", "bags"):
         answer = live.client.get(f"/api/{target}", params={"path": f"{generated.name}/../.."})
         assert (answer.status_code, answer.json()["error"]["kind"]) == (404, "NotFoundError")
@@ -125,7 +151,7 @@ def test_a_project_can_be_created_and_filled(
     assert client.get("/api/projects/two").json()["frames"] == 5, "its frames are available at once"
     done = ended(live, added["job"])
     assert (done["state"], done["message"], done["total"]) == ("done", "imported as labels: 15 person in 5 frames", 5)
-    assert done["result"] == {"frames": 5, "boxes": 15}
+    assert done["result"] == {"frames": 5, "boxes": 15, "unknown": {}, "recordings": [1]}
     again = client.post(place, json={"path": f"{generated.name}/people", "labels": False}).json()
     assert (again["added"][0]["is_new"], again["added"][0]["new_frames"], again["job"]) == (False, 0, None)
     monkeypatch.setattr("annotator.web.jobs.runner.MOST_WAITING", 0)
@@ -247,6 +273,36 @@ def test_a_renamed_project_keeps_its_labels_and_jobs(live: Live) -> None:
     listed = {each["id"]: each["project"] for each in live.client.get("/api/jobs").json()}
     assert listed[job.id] == "hall"
     assert live.client.get(f"/api/jobs/{job.id}/download").status_code == 200
+
+
+def test_a_sample_is_generated_once_and_can_be_read_also_from_other_computers(
+    live: Live, in_threads: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("annotator.workflows.sample.FRAMES", 2)
+    monkeypatch.setattr("annotator.web.context.is_loopback", lambda host: False)
+    with running(replace(live.settings, projects_root=tmp_path / "others")) as server:
+        first = server.client.post("/api/sample-project").json()
+        assert ended(server, first["job"])["message"] == "2 frames generated"
+        second = server.client.post("/api/sample-project").json()
+        assert (first["name"], second) == ("sample", {"name": "sample-2", "job": None})
+        for name in ("sample", "sample-2"):
+            assert server.client.get(f"/api/projects/{name}/frames/1").status_code == 200
+        listed = server.client.get("/api/projects").json()
+        facts = [(each["name"], each["frames"], each["frames_done"], each["first_frame"]) for each in listed]
+        assert facts == [("sample", 2, 0, 1), ("sample-2", 2, 0, 1)]
+
+
+def test_a_removed_project_is_listed_and_brought_back_unless_its_name_is_taken(live: Live) -> None:
+    label_one(live)
+    removed = live.client.delete(ROOM).json()
+    assert (removed["name"], live.client.get(ROOM).status_code) == ("room", 404)
+    assert live.client.get("/api/removed-projects").json() == [removed]
+    restore = f"/api/removed-projects/{removed['id']}/restore"
+    live.client.post("/api/projects", json={"name": "room", "classes": ["person"]})
+    assert live.client.post(restore).status_code == 400
+    live.client.post(f"{ROOM}/rename", json={"name": "other"})
+    assert live.client.post(restore).json()["labels_by_state"]["accepted"] == 1
+    assert (live.client.get("/api/removed-projects").json(), live.client.post(restore).status_code) == ([], 404)
 
 
 def test_a_project_in_use_is_neither_renamed_nor_removed(

@@ -27,7 +27,7 @@ from annotator.project import create_project
 from annotator.types.errors import ConfigError
 from annotator.web import security
 from annotator.web.app import create_app
-from annotator.web.errors import hide_paths
+from annotator.web.errors import hide_paths, without_commands
 from annotator.web.jobs.records import WORK
 from annotator.web.limits import Rate
 from annotator.web.security import (
@@ -384,6 +384,25 @@ PLACES = ((Path("/srv/data/inner"), "inner"), (Path("/srv/data"), "data"), (Path
 def test_messages_name_files_without_their_folders(message: str, shown: str) -> None:
     assert hide_paths(message, PLACES) == shown
     assert hide_paths(shown, PLACES) == shown
+
+
+@pytest.mark.parametrize(
+    ("message", "shown"),
+    [
+        ("no detector yet; run `annotator train room`", "no detector yet"),
+        (
+            "no boxes; draw some, import them with `annotator import`, or add a recording",
+            "no boxes; draw some, or add a recording",
+        ),
+        ("no labels; run `annotator annotate` first, or choose other states", "no labels; choose other states"),
+        ("3 wait: review them (`annotator serve`), or not (they stay)", "3 wait: review them, or not (they stay)"),
+        ("no pair within 0.1 s; give a larger --tolerance", "no pair within 0.1 s"),
+        ("set --tolerance", "set --tolerance"),
+        ("a well-known class, two - or -- three", "a well-known class, two - or -- three"),
+    ],
+)
+def test_messages_to_a_page_name_no_command(message: str, shown: str) -> None:
+    assert without_commands(message) == shown
 
 
 def test_the_error_of_a_broken_frame_names_its_file_only(live: Live, generated: Path, tmp_path: Path) -> None:

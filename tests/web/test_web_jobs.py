@@ -39,6 +39,8 @@ from annotator.web.jobs.records import (
     PAUSE,
     WORK,
     JobState,
+    TrainRequest,
+    expected_s,
     read_journal,
 )
 from annotator.web.jobs.runner import EXPORTS_KEPT, JOBS_KEPT, JobRunner
@@ -281,7 +283,7 @@ MATERIAL = ("image", "view", "labels", "to_lift")
 def test_a_project_without_models(live: Live) -> None:
     answer = live.client.get(MODELS).json()
     assert answer.pop("base") in (None, "in use")
-    assert answer == {"models": [], "learn_every": None, "material": dict.fromkeys(MATERIAL, 0)}
+    assert answer == {"models": [], "learn_every": None, "learn_minutes": 3.0, "material": dict.fromkeys(MATERIAL, 0)}
     assert live.client.put(f"{MODELS}/learning", json={"every": 0}).status_code == 422
     assert live.client.post(f"{MODELS}/1/activate").status_code == 404
     assert live.client.get(f"{MODELS}/1/pictures/0.jpg").status_code == 404
@@ -439,3 +441,9 @@ def test_a_failed_backup_is_logged_and_tried_again_an_hour_later(
         assert len(automatic_backups(changed)) == 1
     finally:
         context.close()
+
+
+def test_the_minutes_of_a_training_tell_how_long_it_takes_before_its_progress_does() -> None:
+    assert expected_s(TrainRequest(kind="train", minutes=2)) == 240
+    assert expected_s(TrainRequest(kind="train", roles=["view"], minutes=0.5)) == 30
+    assert expected_s(TrainRequest(kind="train")) is None

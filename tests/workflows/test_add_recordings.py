@@ -15,7 +15,7 @@ from annotator.project import BoxRotation, NewLabel, Project, WriteContext
 from annotator.rcv.config import Orientation
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, OrientedBox, ReviewState, Source
-from annotator.types.errors import ConfigError, FormatError, FrameError, ProjectError, RecordingError
+from annotator.types.errors import BrokenStartError, ConfigError, FormatError, FrameError, ProjectError, RecordingError
 from annotator.workflows import add_recordings as adding
 from annotator.workflows.add_recordings import add_recordings, bring_back, move_recording
 from annotator.workflows.exporting import ExportFormat, export_project
@@ -319,7 +319,7 @@ def test_frames_are_left_out_even_if_the_first_ones_are_broken(
     project, folder = make_project(), own_copy("people")
     for number in range(4):
         (folder / "depth" / f"00000{number}.png").write_bytes(b"")
-    with pytest.raises(RecordingError, match=r"first frames can be read \(4 tried; --leave-out-broken tries all\)"):
+    with pytest.raises(BrokenStartError, match=r"first frames can be read \(4 tried; --leave-out-broken tries all\)"):
         add_recordings(project, [folder])
     add_recordings(project, [folder], leave_out_broken=True)
     assert present(project) == {"000004": 4}

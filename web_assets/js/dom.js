@@ -57,6 +57,24 @@ function setAttribute(
 }
 
 /**
+ * Shows what was typed or chosen in a field the last time, and keeps it in this browser.
+ *
+ * @template {HTMLInputElement | HTMLSelectElement} T
+ * @param {string} key of all its fields, unique.
+ * @param {T} field
+ */
+export function remembered(key, field) {
+  const name = field instanceof HTMLInputElement && field.type === "checkbox" ? "checked" : "value";
+  const kept = localStorage.getItem(key);
+  const before = field.value;
+  if (kept !== null) Object.assign(field, { [name]: name === "checked" ? kept === "true" : kept });
+  // a choice that is offered no more
+  if (field instanceof HTMLSelectElement && field.selectedIndex < 0) field.value = before;
+  field.addEventListener("change", () => localStorage.setItem(key, String(Reflect.get(field, name))));
+  return field;
+}
+
+/**
  * What the elements made here do on events.
  *
  * @type {WeakMap<Node, Record<string, EventListener>>}

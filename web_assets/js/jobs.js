@@ -1,6 +1,18 @@
 /** Background jobs of the server: start, follow, stop. Several modes show them. */
 
-import { button, h } from "./dom.js";
+import { button, count, h } from "./dom.js";
+
+/** What a kind of job is called in a sentence. @type {Record<Api.Job["kind"], string>} */
+export const NAMES = {
+  train: "training",
+  propose: "proposals",
+  lift: "proposals",
+  boxes: "import of boxes",
+  export: "export",
+  import: "import of boxes",
+  copy: "copy of a project",
+  sample: "sample project",
+};
 
 export const isActive = (/** @type {Api.Job} */ job) => job.state === "queued" || job.state === "running";
 
@@ -42,14 +54,40 @@ function duration(/** @type {number} */ seconds) {
  * @param {() => Api.Job | null | undefined} [find]
  */
 export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
+  /** The job that imports what the one of this line has left out. */
+  let rest = "";
+  const current = () => app.state.jobs.find(({ id }) => id === rest) ?? find();
   const text = h("span", { class: "grow", "data-testid": `job-${kind}-text` });
   const bar = h("progress", { max: 1, "aria-label": "Progress" });
   const left = h("span", { class: "muted number" });
   const stop = button("Stop", () => cancel(), { class: "danger", "data-testid": `stop-${kind}` });
-  const root = h("div", { class: "job-line", "data-testid": `job-${kind}`, role: "status" }, text, bar, left, stop);
+  const choose = button("Choose classes …", () => importRest(), { "data-testid": "choose-classes" });
+  const root = h(
+    "div",
+    { class: "job-line", "data-testid": `job-${kind}`, role: "status" },
+    text,
+    bar,
+    left,
+    choose,
+    stop,
+  );
+
+  async function importRest() {
+    const job = current();
+    if (!job) return;
+    try {
+      const { importLeftOut } = await import("./start/class_choice.js");
+      const begun = await importLeftOut(app, job);
+      if (!begun) return;
+      rest = begun.id;
+      takeJob(app, begun);
+    } catch (error) {
+      app.toast(error);
+    }
+  }
 
   async function cancel() {
-    const job = find();
+    const job = current();
     if (!job) return;
     stop.disabled = true;
     try {
@@ -64,12 +102,19 @@ export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
   return {
     root,
     show() {
-      const job = find();
+      const job = current();
       root.hidden = !job;
       if (!job) return;
       root.dataset.state = job.state;
-      text.textContent = describe(job);
-      text.className = `grow${job.state === "failed" ? " bad" : ""}`;
+      text.textContent = describe(job, app.state.jobs);
+      // boxes of classes that the project does not have are no success
+      const { unknown = {}, recordings } = /** @type {ImportResult} */ (job.result ?? {});
+      const classes = Object.keys(unknown);
+      const hasLeftOut = classes.length > 0;
+      if (hasLeftOut && recordings)
+        text.prepend(`Left out: the boxes of ${classes.join(", ")}, which the project does not have as classes. `);
+      text.className = `grow${job.state === "failed" ? " bad" : hasLeftOut ? " warn" : ""}`;
+      choose.hidden = !hasLeftOut || !recordings;
       stop.hidden = !isActive(job);
       bar.hidden = !isActive(job);
       if (job.total > 0) bar.value = job.done / job.total;
@@ -79,8 +124,20 @@ export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
   };
 }
 
-function describe(/** @type {Api.Job} */ job) {
-  if (job.state === "queued") return "Waiting for another job to end";
+/** What a job that waits its turn waits for, and how long that takes as far as it is known. */
+export function waiting(/** @type {Api.Job} */ job, /** @type {Api.Job[]} */ jobs) {
+  const turn = (/** @type {Api.Job} */ { background, created_ns }) => Number(background) * 2 ** 63 + created_ns;
+  const lane = jobs.filter((other) => other.heavy === job.heavy && other.id !== job.id);
+  const running = lane.find(({ state }) => state === "running");
+  const before = lane.filter((other) => other.state === "queued" && turn(other) < turn(job)).length;
+  if (!running) return before ? `Waits for ${count(before, "job")}` : "About to begin";
+  const whose = running.project === job.project ? "" : ` in ${running.project}`;
+  const left = running.eta_s === null ? "" : `, about ${duration(running.eta_s)} left`;
+  return `Waits for the ${NAMES[running.kind]}${whose}${left}${before ? `, then for ${count(before, "more job")}` : ""}`;
+}
+
+function describe(/** @type {Api.Job} */ job, /** @type {Api.Job[]} */ jobs) {
+  if (job.state === "queued") return waiting(job, jobs);
   if (job.state === "running") return job.stage || "Running";
   if (job.state === "failed") return `Failed: ${job.message ?? "see the server's log"}`;
   if (job.state === "cancelled") return job.message ?? "Stopped";
@@ -90,7 +147,7 @@ function describe(/** @type {Api.Job} */ job) {
 // -- jobs of the start page, which has no open project and receives no events of them
 
 /** @type {Api.Job["kind"][]} */
-const KINDS = ["import", "boxes", "copy"];
+const KINDS = ["import", "boxes", "copy", "sample"];
 /** Such a job takes between a moment and minutes, so the interval between requests grows. */
 const WAIT_MS = { first: 700, longest: 5000, growth: 1.5 };
 

@@ -12,6 +12,7 @@ import { createEffort } from "./effort.js";
 import { ApiError, isAborted, messageOf } from "./errors.js";
 import { createEvents } from "./events.js";
 import { createFrameState, createState } from "./frame_state.js";
+import { mountGuide } from "./guide.js";
 import { createKeys } from "./keys.js";
 import { showHints, toast } from "./messages.js";
 import { makeHash, parseHash } from "./router.js";
@@ -359,6 +360,7 @@ async function start() {
   readTimeline(app);
   mountTopbar(topbar, app);
   mountTimeline(elementById("timeline"), app);
+  mountGuide(app);
   try {
     /** @type {Api.Session} */
     const session = await app.api.get("/api/session");

@@ -5,6 +5,7 @@
 
 import { confirm, keyTableDialog } from "./dialogs.js";
 import { h, iconButton, patch } from "./dom.js";
+import { NAMES, waiting } from "./jobs.js";
 import { makeHash } from "./router.js";
 import { signOut } from "./session.js";
 import { createWhere, WITH_FRAME } from "./where.js";
@@ -117,9 +118,10 @@ function jobs(/** @type {App} */ app) {
     link.hidden = !running;
     if (!running) return;
     const mode = running.kind === "export" ? "export" : "train";
-    link.href = ["import", "copy"].includes(running.kind) ? "#/" : makeHash(running.project, mode);
-    link.title = `${running.kind} in ${running.project}: ${running.stage}`;
-    text.textContent = running.state === "queued" ? `${running.kind} queued` : running.kind;
+    link.href = ["import", "copy", "sample"].includes(running.kind) ? "#/" : makeHash(running.project, mode);
+    const isQueued = running.state === "queued";
+    link.title = `${NAMES[running.kind]} in ${running.project}: ${isQueued ? waiting(running, app.state.jobs) : running.stage}`;
+    text.textContent = isQueued ? `${NAMES[running.kind]} waits` : NAMES[running.kind];
     if (running.total > 0) bar.value = running.done / running.total;
     else bar.removeAttribute("value");
   };

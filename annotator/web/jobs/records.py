@@ -23,6 +23,7 @@ from annotator.workflows.importing.boxes_3d import MOST_NAME
 LOG = logging.getLogger("annotator.web")
 
 Ids = Annotated[tuple[RowId, ...], Field(min_length=1, max_length=10_000)]
+Names = Annotated[dict[str, ClassName | Literal[""]], Field(max_length=1000)]
 Pictures = Annotated[int, Field(ge=1, le=10_000_000)]
 
 
@@ -71,7 +72,7 @@ class BoxesRequest(Schema):
 
     Attributes:
         upload: its id.
-        names: the project's class of each class of the file that has another name.
+        names: the project's class of each class of the file that has another name; "" leaves its boxes out.
         recording: the recording of its images or frames; null: any.
         box_kind: what 2D boxes enclose.
         lift: then propose 3D boxes from 2D boxes.
@@ -83,7 +84,7 @@ class BoxesRequest(Schema):
 
     kind: Literal["boxes"]
     upload: Annotated[str, Field(pattern="^[0-9a-f]{32}$")]
-    names: Annotated[dict[str, ClassName], Field(max_length=1000)] = Field(default_factory=dict)
+    names: Names = Field(default_factory=dict)
     recording: RowId | None = None
     box_kind: BoxKind = BoxKind.SILHOUETTE
     lift: bool = False
@@ -136,10 +137,15 @@ class ExportRequest(Schema):
 
 
 class ImportRequest(Schema):
-    """Import the 3D boxes that recordings contain, for every frame without labels."""
+    """Import the 3D boxes that recordings contain, for every frame without labels.
+
+    Attributes:
+        names: the project's class of each class that an earlier import left out; then only these boxes are imported.
+    """
 
     kind: Literal["import"]
     recordings: Ids
+    names: Names = Field(default_factory=dict)
 
 
 class CopyRequest(Schema):
@@ -150,8 +156,21 @@ class CopyRequest(Schema):
     labels: bool = True
 
 
+class SampleRequest(Schema):
+    """Generate the sample recording, and add it to the project."""
+
+    kind: Literal["sample"]
+
+
 JobRequest = Annotated[
-    TrainRequest | ProposeRequest | LiftRequest | BoxesRequest | ExportRequest | ImportRequest | CopyRequest,
+    TrainRequest
+    | ProposeRequest
+    | LiftRequest
+    | BoxesRequest
+    | ExportRequest
+    | ImportRequest
+    | CopyRequest
+    | SampleRequest,
     Field(discriminator="kind"),
 ]
 
@@ -161,7 +180,12 @@ def in_background(request: JobRequest) -> bool:
     return isinstance(request, TrainRequest) and request.background
 
 
-JobKind = Literal["train", "propose", "lift", "boxes", "export", "import", "copy"]
+def expected_s(request: JobRequest) -> float | None:
+    """How long a job takes before its progress shows it, seconds: the minutes of a training, for each detector."""
+    return request.minutes * 60 * len(request.roles) if isinstance(request, TrainRequest) and request.minutes else None
+
+
+JobKind = Literal["train", "propose", "lift", "boxes", "export", "import", "copy", "sample"]
 # Those that keep the processor busy run one after the other. So do the others, which never wait for the first ones.
 HEAVY: tuple[JobKind, ...] = ("train", "propose", "lift")
 # Kind of job -> "module:function" of the work, which takes a `JobContext` and the request. A string, so that the server
@@ -204,6 +228,7 @@ class Job(Schema):
         created_ns: UTC nanoseconds since the epoch.
         curves: of a training, up to now.
         download: whether an export's file is still available; null for a job without a file.
+        heavy: whether it is in the lane of jobs that keep the processor busy.
         background: whether it steps aside for other jobs and for drawing.
     """
 
@@ -221,6 +246,7 @@ class Job(Schema):
     operator: str
     curves: tuple[CurvePoint, ...] = ()
     download: Literal["kept", "gone"] | None = None
+    heavy: bool = False
     background: bool = False
 
 

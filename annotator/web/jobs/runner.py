@@ -40,6 +40,7 @@ from annotator.web.jobs.records import (
     Order,
     Progress,
     WorkerMessage,
+    expected_s,
     in_background,
     read_journal,
     require_own_files,
@@ -202,6 +203,7 @@ class JobRunner:
             kind=request.kind,
             created_ns=time.time_ns(),
             operator=operator,
+            heavy=request.kind in HEAVY,
             background=in_background(request),
         )
         task = _Task(job.id, order)
@@ -345,7 +347,8 @@ class JobRunner:
     def _run_job(self, task: _Task) -> tuple[WorkerMessage | None, int | None]:
         """Returns the last message of the worker, and its exit code."""
         job_id, began_s = task.job_id, time.monotonic()
-        self._update(job_id, stage="starting")
+        expected = expected_s(task.order.request)
+        self._update(job_id, stage="starting", eta_s=expected)
         private_folder(task.order.folder)
         worker = WorkerProcess(task.order, task.order.folder / WORK_LOG)
         with self._lock:
@@ -357,9 +360,10 @@ class JobRunner:
             match last:
                 case Progress():
                     stage = "stopping" if task.end == "stopped" else last.stage
-                    # at the average speed so far
                     spent_s, left = time.monotonic() - began_s, last.total - last.done
-                    eta_s = spent_s * left / last.done if 0 < last.done <= last.total else None
+                    eta_s = None if expected is None else max(expected - spent_s, 0.0)
+                    if 0 < last.done <= last.total:  # at the average speed so far
+                        eta_s = spent_s * left / last.done
                     self._update(job_id, stage=stage, done=last.done, total=last.total, eta_s=eta_s)
                 case Measured():
                     self._update(job_id, curves=(*self.get(job_id).curves, last.point))

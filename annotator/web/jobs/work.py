@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import zipfile
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from annotator.detection.config import TrainingConfig
@@ -25,6 +25,7 @@ from annotator.web.jobs.records import (
     LiftRequest,
     Outcome,
     ProposeRequest,
+    SampleRequest,
     TrainRequest,
 )
 from annotator.web.uploads import find_upload, remove_upload
@@ -35,6 +36,7 @@ from annotator.workflows.importing import (
     BoxFormat,
     Importer,
     ImportReport,
+    Note,
     import_image_boxes,
     import_labels,
     import_proposals,
@@ -45,6 +47,7 @@ from annotator.workflows.proposing.annotate import AnnotateSummary, annotate_wit
 from annotator.workflows.proposing.engines import EngineName, make_engine
 from annotator.workflows.proposing.lift import boxes_of_file, drawn_boxes, lift, require_known
 from annotator.workflows.recorded.own_labels import import_own_labels
+from annotator.workflows.sample import add_sample
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.train import VIEW_DEFAULTS, Trained, TrainPlan, image_defaults, train
 from annotator.workflows.workbench.loaded_detectors import require_view
@@ -224,7 +227,8 @@ def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFor
 
 
 def _imported(done: ImportReport) -> Outcome:
-    return Outcome(done.text(), {"frames": done.frames, "boxes": done.boxes.total()})
+    unknown = dict(done.of(Note.OTHER_CLASS))
+    return Outcome(done.text(), {"frames": done.frames, "boxes": done.boxes.total(), "unknown": unknown})
 
 
 def _proposed(done: AnnotateSummary, source: str = "") -> Outcome:
@@ -244,8 +248,9 @@ def import_work(job: JobContext, request: ImportRequest) -> Outcome:
     every = ImportReport(Become.LABELS, job.project.config.classes)
     for recording in [job.project.recordings.get(number) for number in request.recordings]:
         counter = job.counter(f"read the boxes of {recording.name}")
-        every.include(import_own_labels(job.project, recording.id, counter))
-    return _imported(every)
+        every.include(import_own_labels(job.project, recording.id, counter, request.names))
+    outcome = _imported(every)
+    return replace(outcome, result=outcome.result | {"recordings": list(request.recordings)})
 
 
 def copy_work(job: JobContext, request: CopyRequest) -> Outcome:
@@ -254,6 +259,12 @@ def copy_work(job: JobContext, request: CopyRequest) -> Outcome:
     copy_project(folder, folder.parent, request.name, progress=counter, labels=request.labels, sent=False)
     without = "" if request.labels else ", without labels"
     return Outcome(f"copied to {request.name}{without}", {"project": request.name})
+
+
+def sample_work(job: JobContext, request: SampleRequest) -> Outcome:
+    """Generates the sample recording."""
+    frames = add_sample(job.project, job.counter("generate a recording of people in a room"))
+    return Outcome(f"{amount(frames, 'frame')} generated", {"frames": frames})
 
 
 def export_work(job: JobContext, request: ExportRequest) -> Outcome:

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Body, Path, Query
 from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
 
+from annotator.detection.config import MOST_MINUTES
 from annotator.detection.pretrained import has_base
 from annotator.project import Project, StoredModel
 from annotator.project.config import free_path
@@ -175,11 +176,13 @@ class ModelList(BaseModel):
     Attributes:
         base: whether the base detector is the view detector in use, or could be; null without it.
         learn_every: a round of training in the background after so many reviewed boxes; null: never.
+        learn_minutes: length of such a round.
     """
 
     models: list[ModelDetails]
     base: Literal["in use", "available"] | None
     learn_every: int | None
+    learn_minutes: float
     material: TrainingData
 
 
@@ -194,6 +197,7 @@ def models(at: AtProject) -> ModelList:
         models=[_details(at, model) for model in at.project.models.all()],
         base=base if has_base() else None,
         learn_every=at.project.config.settings.learn_every,
+        learn_minutes=at.project.config.settings.learn_minutes,
         material=TrainingData(
             image=counts.image_boxes.boxes, view=counts.view_boxes.boxes, labels=labels, to_lift=to_lift
         ),
@@ -201,15 +205,16 @@ def models(at: AtProject) -> ModelList:
 
 
 class Learning(Schema):
-    """To learn while somebody labels: after `every` so many reviewed boxes; null: never."""
+    """To learn while somebody labels: after `every` so many reviewed boxes, for so many minutes; null: never."""
 
     every: Annotated[int, Field(ge=1, le=1_000_000)] | None
+    minutes: Annotated[float, Field(gt=0, le=MOST_MINUTES)] = 3.0
 
 
 @router.put("/api/projects/{name}/models/learning", status_code=204)
 def set_learning(at: AtProject, body: Learning) -> None:
     """Switch rounds of training in the background on or off."""
-    settings = at.project.config.settings.model_copy(update={"learn_every": body.every})
+    settings = at.project.config.settings.model_copy(update={"learn_every": body.every, "learn_minutes": body.minutes})
     at.project.configure(settings=settings)
 
 

@@ -5,7 +5,6 @@ labels and frames.
 from __future__ import annotations
 
 import logging
-import shlex
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Body
@@ -24,16 +23,18 @@ from annotator.project import (
 )
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import AttributeName, Value
-from annotator.project.config import rename_project, set_aside
+from annotator.project.config import Removed, removed_projects, rename_project, set_aside, take_back
 from annotator.project.database.store import waiting_at_most
 from annotator.project.overview import ClassList, list_classes
 from annotator.types import BoxKind, DetectorKind
-from annotator.types.errors import AnnotatorError
+from annotator.types.errors import AnnotatorError, NotFoundError
 from annotator.web.context import AtProject, Context, Ctx, InProject, Operator
 from annotator.web.errors import INTERNAL
 from annotator.web.frame_json import STALE, AtFrame
+from annotator.web.jobs.records import Job, SampleRequest
 from annotator.web.schemas import ClassName, FrameChange, FrameStateJson, Schema, Uid
 from annotator.workflows.detectors import stand_in
+from annotator.workflows.sample import add_sample, create_sample, is_generated
 
 LOG = logging.getLogger("annotator.web")
 
@@ -49,11 +50,20 @@ class MissingRecording(BaseModel):
 
 
 class ProjectSummary(BaseModel):
-    """One project in a list; `problem`: why it cannot be opened; `missing`: recordings whose path is gone."""
+    """One project in a list.
+
+    Attributes:
+        frames_done: number of frames with boxes of which none is an open proposal.
+        first_frame: id of the first frame, if there is one.
+        problem: why it cannot be opened.
+        missing: recordings whose path is gone.
+    """
 
     name: str
     classes: list[str]
     frames: int
+    frames_done: int = 0
+    first_frame: int | None = None
     recordings: int
     labels_by_state: dict[str, int]
     problem: str | None = None
@@ -132,6 +142,8 @@ def summary_of(name: str, project: Project) -> ProjectSummary:
         name=name,
         classes=list(project.config.classes),
         frames=counts.frames,
+        frames_done=counts.frames_with_labels - counts.frames_with_proposals,
+        first_frame=project.frames.first(),
         recordings=counts.recordings,
         labels_by_state={state.value: number for state, number in counts.labels.by_state.items()},
         missing=[
@@ -204,10 +216,11 @@ class NewName(Schema):
 
 
 class RemovedProject(BaseModel):
-    """Where a removed project is now, and the command that brings it back."""
+    """A removed project: the name of its folder now, its own name, and when it was removed, UTC seconds."""
 
-    folder: str
-    command: str
+    id: str
+    name: str
+    removed_s: float
 
 
 @router.get("/api/projects")
@@ -222,6 +235,23 @@ def create(body: NewProject, ctx: Ctx, operator: Operator) -> ProjectSummary:
     settings = ProjectSettings(rotation=body.rotation)
     create_project(ctx.settings.projects_root, body.name, body.classes, settings=settings).close()
     return summary_of(body.name, ctx.project(body.name))
+
+
+class Sample(BaseModel):
+    """A project to try the page with; the job generates its recording, if no earlier sample has left it."""
+
+    name: str
+    job: Job | None
+
+
+@router.post("/api/sample-project", status_code=201)
+def sample(ctx: Ctx, operator: Operator) -> Sample:
+    """Create a project to try the page with."""
+    path = create_sample(ctx.settings.projects_root)
+    if is_generated(path.parent):
+        add_sample(ctx.project(path.name))
+        return Sample(name=path.name, job=None)
+    return Sample(name=path.name, job=ctx.jobs.add(path.name, path, SampleRequest(kind="sample"), operator))
 
 
 @router.get("/api/projects/{name}")
@@ -253,8 +283,26 @@ def remove(name: str, ctx: Ctx, operator: Operator) -> RemovedProject:
     with ctx.closed(name) as folder:
         aside = set_aside(folder)
     ctx.hub.send({"type": "removed", "project": name, "operator": operator})
-    place = ctx.public_message(str(aside.absolute()))
-    return RemovedProject(folder=place, command=shlex.join(["annotator", "project", "copy", place, name]))
+    return _removed(next(each for each in removed_projects(aside.parent.parent) if each.path == aside))
+
+
+@router.get("/api/removed-projects")
+def removed(ctx: Ctx, operator: Operator) -> list[RemovedProject]:
+    """The removed projects, the newest first."""
+    return [_removed(each) for each in removed_projects(ctx.settings.projects_root)]
+
+
+@router.post("/api/removed-projects/{id}/restore")
+def restore(id: str, ctx: Ctx, operator: Operator) -> ProjectSummary:
+    """Bring a removed project back under its name."""
+    for each in removed_projects(ctx.settings.projects_root):
+        if each.path.name == id:
+            return summary(ctx, ListedProject(take_back(each), None))
+    raise NotFoundError(f"there is no removed project {id!r}; it may have been brought back already")
+
+
+def _removed(each: Removed) -> RemovedProject:
+    return RemovedProject(id=each.path.name, name=each.name, removed_s=each.at.timestamp())
 
 
 class BoxKindIn(Schema):

@@ -14,7 +14,7 @@ from annotator.recordings.recording import parse_options
 from annotator.types import ReviewState
 from annotator.types.errors import InputError
 from annotator.web.context import AtProject, Ctx, InProject, Operator
-from annotator.web.folders import FolderEntry
+from annotator.web.folders import FolderListing
 from annotator.web.jobs.records import ImportRequest, Job
 from annotator.web.routes.projects import RecordingInfo, recording_info
 from annotator.web.schemas import RowId, Schema
@@ -53,7 +53,8 @@ def _public(ctx: Ctx, text: str, topics: list[str]) -> str:
     names = sorted(topics, key=len, reverse=True)
     for number, name in enumerate(names):
         text = text.replace(name, f"<{number}>")
-    text = ctx.public_message(text)
+    # with the names of the options: the page has a field for each
+    text = ctx.without_paths(text)
     for number, name in enumerate(names):
         text = text.replace(f"<{number}>", name)
     return text
@@ -135,8 +136,8 @@ class AddedRecordings(BaseModel):
 
 
 @router.get("/api/folders")
-def folders(ctx: Ctx, operator: Operator, path: FolderPath = "") -> tuple[FolderEntry, ...]:
-    """The sub-folders and recordings in a folder; "" lists the server's folders."""
+def folders(ctx: Ctx, operator: Operator, path: FolderPath = "") -> FolderListing:
+    """The sub-folders and recordings in a folder, and what is not listed; "" lists the server's folders."""
     return ctx.folders.list(path)
 
 
@@ -172,6 +173,7 @@ def add(at: AtProject, body: NewRecording) -> AddedRecordings:
         AddedRecording.of(
             result,
             recording=recording_info(result.recording),
+            notes=tuple(ctx.public_message(text) for text in result.notes),
             broken=[ctx.public_message(text) for text in result.broken.sentences],
             can_leave_out=len(result.broken.errors) > result.left_out,
         )

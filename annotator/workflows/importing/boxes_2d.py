@@ -30,7 +30,7 @@ from annotator.workflows.importing.pictures import (
     checked_views,
     read_pictures,
 )
-from annotator.workflows.importing.placing import AUTHOR, NO_NAMES, PROGRAM, Importer, how_to_map
+from annotator.workflows.importing.placing import AUTHOR, NO_NAMES, PROGRAM, Importer, OwnClasses, how_to_map
 from annotator.workflows.importing.report import Become, ImportReport, Note
 from annotator.workflows.importing.values import ImageValues
 from annotator.workflows.views import ViewPlace, read_places, view_followers
@@ -101,11 +101,11 @@ class _Import:
         importer: Importer,
     ) -> None:
         self._project, self._dataset, self._kind = project, dataset, kind
-        self._names, self._importer = names, importer
+        self._own, self._importer = OwnClasses(project.config.classes, names), importer
         self._classes = project.config.classes
         self._report = ImportReport(Become.FLAT, self._classes)
         theirs = {label for picture in dataset.pictures for label in picture.labels}
-        if theirs and not {names.get(label, label) for label in theirs} & set(self._classes):
+        if theirs and not any(map(self._own.of, theirs)):
             raise FormatError(
                 dataset.path,
                 f"none of the dataset's classes is in the project: the dataset has {', '.join(sorted(theirs))}, the "
@@ -138,7 +138,7 @@ class _Import:
             known = self._known(image.boxes)
             if self._count(image.boxes, known, self._store_on_image(image, known, drawn_from[image.frame_id])):
                 report.frames += 1
-                values.take(image, self._names, self._importer)
+                values.take(image, self._own, self._importer)
                 report.add(Note.AROUND, image.labels.around)
             if progress is not None:
                 progress(done, len(images))
@@ -154,8 +154,8 @@ class _Import:
 
     def _known(self, boxes: Sequence[Box2D]) -> list[Box2D]:
         """Returns the boxes of the project's classes."""
-        renamed = [replace(box, label=self._names.get(box.label, box.label)) for box in boxes]
-        return [box for box in renamed if box.label in self._classes]
+        own = ((box, self._own.of(box.label)) for box in boxes)
+        return [box if label == box.label else replace(box, label=label) for box, label in own if label is not None]
 
     def _count(self, boxes: Sequence[Box2D], known: Sequence[Box2D], replaced: bool | None) -> bool:
         """Counts the boxes of an image; returns whether they were stored. `replaced` as from `_store_on_image`."""
@@ -164,8 +164,7 @@ class _Import:
             return False
         self._report.add(Note.REPLACED, replaced)
         self._report.boxes.update(box.label for box in known)
-        others = (box.label for box in boxes if self._names.get(box.label, box.label) not in self._classes)
-        self._report.add_all(Note.OTHER_CLASS, others)
+        self._report.add_all(Note.OTHER_CLASS, (box.label for box in boxes if self._own.of(box.label) is None))
         return True
 
     def _store_on_image(self, image: OnImage, boxes: Sequence[Box2D], drawn_from: Sequence[Box2D]) -> bool | None:

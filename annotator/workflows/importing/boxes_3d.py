@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import count
@@ -18,7 +18,7 @@ from annotator.types.errors import ConfigError, StaleRevisionError
 from annotator.types.label import Said
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.label_set import LabelSet, near, truths_of
-from annotator.workflows.importing.placing import NO_NAMES, PROGRAM, Importer
+from annotator.workflows.importing.placing import NO_NAMES, PROGRAM, Importer, OwnClasses
 from annotator.workflows.importing.report import Become, ImportReport, Note, SizeDoubts
 from annotator.workflows.importing.values import give_values, of_covered
 
@@ -36,6 +36,7 @@ def import_labels(
     names: Mapping[str, str] = NO_NAMES,
     importer: Importer = PROGRAM,
     fill: bool = False,
+    beside: Collection[str] = (),
 ) -> ImportReport:
     """Imports the boxes of every frame without labels; each becomes an accepted label with the source imported.
 
@@ -47,9 +48,11 @@ def import_labels(
         names: the project's class of each class of the dataset; classes that are not listed keep their names.
         fill: give labels that frames have already, and these frames, the values of attributes that they lack. Finalised
             frames stay as they are.
+        beside: classes of the dataset that an earlier import left out: their boxes are imported beside the labels that
+            frames have, and no others.
     """
     reader = Reader(project, dataset, recording, names, ImportReport(Become.LABELS, project.config.classes))
-    labels = _Labels(reader, importer, fill)
+    labels = _Labels(reader, importer, fill, beside)
     reader.read_all(labels.add, progress)
     return reader.report
 
@@ -108,7 +111,7 @@ class Reader:
         report.add_all(Note.UNMATCHED, self.matched.unmatched)
         if self.matched.renamed is not None:
             report.add(Note.RENAMED, of=str(self.matched.renamed))
-        self._names, self._classes = names, set(project.config.classes)
+        self._own = OwnClasses(project.config.classes, names)
         self.values = ValueReader(project.config.attributes)
         self._sizes = SizeDoubts()
 
@@ -152,30 +155,30 @@ class Reader:
 
     def known(self, objects: Sequence[Labelled]) -> list[Labelled]:
         """Returns what is of the project's classes, with its names of these."""
-        names = self._names
-        named = (replace(each, label=names[each.label]) if each.label in names else each for each in objects)
-        return [each for each in named if each.label in self._classes]
+        own = ((each, self._own.of(each.label)) for each in objects)
+        return [each if label == each.label else replace(each, label=label) for each, label in own if label is not None]
 
     def count(self, truths: Sequence[Truth]) -> None:
         """Counts the sizes of boxes, and those of other classes."""
         for each in truths:
-            label = self._names.get(each.label, each.label)
-            self._sizes.add(label, each.box.size_m)
-            if label not in self._classes:
+            label = self._own.of(each.label)
+            self._sizes.add(label or each.label, each.box.size_m)
+            if label is None:
                 self.report.add(Note.OTHER_CLASS, of=each.label)
 
 
 class _Labels:
     """Stores boxes as labels."""
 
-    def __init__(self, reader: Reader, importer: Importer, fill: bool) -> None:
-        self._reader, self._importer, self._fill = reader, importer, fill
+    def __init__(self, reader: Reader, importer: Importer, fill: bool, beside: Collection[str]) -> None:
+        self._reader, self._importer, self._fill, self._beside = reader, importer, fill, beside
         self._project, self._dataset, self._report = reader.project, reader.dataset, reader.report
         self._attributes = {each.name for each in reader.project.config.attributes}
 
     def add(self, name: str, stored: StoredFrame) -> None:
         """Stores the labels and values of a frame without labels, or the values that a labelled one lacks."""
-        is_labelled = stored.finalised or any(each.is_own for each in self._project.labels.of_moment(stored.id))
+        labelled = not self._beside and any(each.is_own for each in self._project.labels.of_moment(stored.id))
+        is_labelled = stored.finalised or labelled
         if is_labelled:
             self._report.add(Note.ALREADY)
             if stored.finalised or not self._fill or not self._has_values(name):
@@ -189,9 +192,12 @@ class _Labels:
 
     def _create(self, name: str, stored: StoredFrame, truths: Sequence[Truth]) -> None:
         report = self._report
+        if self._beside:
+            truths = [each for each in truths if each.label in self._beside]
         self._reader.count(truths)
         every, repeated = with_tracks_once(self._labels(truths))
-        new = create_if_unlabelled(self._project, stored.id, every, self._importer.author, self._importer.action)
+        author, action = self._importer.author, self._importer.action
+        new = create_if_unlabelled(self._project, stored.id, every, author, action, beside=bool(self._beside))
         if new is None:
             report.add(Note.ALREADY)
             return
@@ -237,17 +243,23 @@ def with_tracks_once(new: Sequence[NewLabel], taken: Iterable[int | None] = ()) 
 
 
 def create_if_unlabelled(
-    project: Project, frame_id: int, new: Sequence[NewLabel], author: str, action: str | None = None
+    project: Project,
+    frame_id: int,
+    new: Sequence[NewLabel],
+    author: str,
+    action: str | None = None,
+    *,
+    beside: bool = False,
 ) -> Sequence[NewLabel] | None:
     """Stores imported labels, without those that labels of other cameras of the moment cover; returns the others.
 
-    None if the frame has labels or is finalised, even by a concurrent edit. A finalised frame without labels is
-    confirmed as empty.
+    None if the frame has labels, unless they are to be stored `beside` these, or is finalised, even by a concurrent
+    edit. A finalised frame without labels is confirmed as empty.
     """
     while True:
         stored = project.frames.get(frame_id)
         of_moment = project.labels.of_moment(frame_id)
-        if stored.finalised or any(each.is_own for each in of_moment):
+        if stored.finalised or (not beside and any(each.is_own for each in of_moment)):
             return None
         there = [each.label for each in of_moment]
         taken = [label.track_id for label in there if label.state is not ReviewState.REJECTED]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +34,25 @@ def class_names(text: str, project: Project) -> dict[str, str]:
             raise ConfigError(f"--classes {text}: the project has no class {ours!r}; {others}")
         names[theirs] = ours
     return names
+
+
+class OwnClasses:
+    """The project's class of each class of a dataset: as `names` says, else one of the same name.
+
+    A name that only case, spaces, `-` or `_` set apart is the same, unless the project itself sets two so apart. In
+    `names`, "" is no class.
+    """
+
+    def __init__(self, classes: Collection[str], names: Mapping[str, str] = NO_NAMES) -> None:
+        self._names = dict(names) | {name: name for name in classes if name not in names}
+        alike = Counter(map(folded, classes))
+        self._folded = {folded(name): name for name in classes if alike[folded(name)] == 1}
+        self._classes = frozenset(classes)
+
+    def of(self, theirs: str) -> str | None:
+        """The project's class; None without one."""
+        ours = self._names[theirs] if theirs in self._names else self._folded.get(folded(theirs))
+        return ours if ours in self._classes else None
 
 
 def how_to_map(theirs: Collection[str], project: Project) -> str:

@@ -24,7 +24,7 @@ from annotator.types.errors import StaleRevisionError
 from annotator.types.label import AttributeValue
 from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.importing.pictures import OnImage, read_pictures
-from annotator.workflows.importing.placing import AUTHOR, Importer
+from annotator.workflows.importing.placing import AUTHOR, Importer, OwnClasses
 from annotator.workflows.importing.report import ImportReport, Note
 from annotator.workflows.views import drawn_of, outlines
 
@@ -152,16 +152,16 @@ class ImageValues:
         self._project, self._report = project, report
         self._reader = ValueReader(project.config.attributes)
 
-    def take(self, image: OnImage, names: Mapping[str, str], importer: Importer) -> None:
+    def take(self, image: OnImage, own: OwnClasses, importer: Importer) -> None:
         """Stores the values of an image and of its boxes.
 
         Args:
-            names: the project's class of each class of the dataset that has another name.
+            own: the project's class of each class of the dataset.
         """
         picture = image.labels
         if not picture.attributes and not picture.values:
             return
-        of_frame, of_labels = self._reader.of_frame(picture.attributes), self._of_labels(image, names)
+        of_frame, of_labels = self._reader.of_frame(picture.attributes), self._of_labels(image, own)
         given, kept = give_values(self._project, image.frame_id, of_frame, lambda labels: of_labels, importer)
         self._report.add(Note.SHOWN, given)
         self._report.add(Note.CONTRADICTED, kept)
@@ -177,11 +177,11 @@ class ImageValues:
         for what, number in self._reader.left_out.items():
             self._report.add(Note.VALUE, number, what)
 
-    def _of_labels(self, image: OnImage, names: Mapping[str, str]) -> dict[str, Values]:
+    def _of_labels(self, image: OnImage, own: OwnClasses) -> dict[str, Values]:
         """Returns the values of the boxes by the uid of the label that each shows; counts those of other boxes."""
         every = self._project.labels.of_frame(image.frame_id)
         labels = {label.uid: label for label in every if label.state is not ReviewState.REJECTED}
-        boxes = [replace(box, label=names.get(box.label, box.label)) for box in image.boxes]
+        boxes = [replace(box, label=own.of(box.label) or box.label) for box in image.boxes]
         known = {} if image.camera is None else outlines(image.camera, tuple(labels.values()))
         shown = {place: uid for uid, place in drawn_of(known, boxes).items()}
         found: dict[str, Values] = {}

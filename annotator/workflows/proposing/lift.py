@@ -25,6 +25,7 @@ from annotator.types.messages import MOST_LISTED, first_few
 from annotator.workflows.detectors import LIFTED_FROM
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.importing.pictures import checked_images, read_pictures
+from annotator.workflows.importing.placing import OwnClasses
 from annotator.workflows.importing.report import Become, ImportReport, Note
 from annotator.workflows.proposing.annotate import AUTHOR, AnnotateSummary, Batch
 from annotator.workflows.proposing.runner import failure
@@ -111,12 +112,12 @@ def boxes_of_file(
     """
     dataset = read_pictures(format, path)
     images, placed, unreadable = checked_images(project, dataset, dataset.pictures, recording)
-    classes, left_out = set(project.config.classes), ImportReport(Become.FLAT)
+    classes, left_out = OwnClasses(project.config.classes, names), ImportReport(Become.FLAT)
     of_frame: dict[int, tuple[Box2D, ...]] = {}
     for image in images:
-        renamed = [replace(box, label=names.get(box.label, box.label)) for box in image.boxes]
-        of_frame[image.frame_id] = tuple(box for box in renamed if box.label in classes)
-        left_out.add_all(Note.OTHER_CLASS, [box.label for box in renamed if box.label not in classes])
+        own = [(box, classes.of(box.label)) for box in image.boxes]
+        of_frame[image.frame_id] = tuple(replace(box, label=label) for box, label in own if label is not None)
+        left_out.add_all(Note.OTHER_CLASS, [box.label for box, label in own if label is None])
     if not any(of_frame.values()):
         wanted, others = ", ".join(project.config.classes), _listed(left_out.of(Note.OTHER_CLASS))
         raise FormatError(

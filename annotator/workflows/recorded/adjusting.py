@@ -101,7 +101,7 @@ def learn_up(
         project.adjustments.set_up(stored.id, found.up, AUTHOR)
         messages.append(
             f"{stored.name}: boxes are upright from now on, since {found.reason}; "
-            f"annotator up {project.path.name} {stored.name} --clear takes the up direction back"
+            f"`annotator up {project.path.name} {stored.name} --clear` takes the up direction back"
         )
     return tuple(messages)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 from annotator.formats.frame_names import LabelledFrame
@@ -15,7 +15,7 @@ from annotator.types.errors import AnnotatorError, ConfigError, FormatError, Fra
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.boxes_3d import import_labels
 from annotator.workflows.importing.label_set import LabelSet
-from annotator.workflows.importing.placing import Importer, MatchedFrames
+from annotator.workflows.importing.placing import NO_NAMES, Importer, MatchedFrames
 from annotator.workflows.importing.readers import read_labels
 from annotator.workflows.importing.report import Become, ImportReport, Note
 from annotator.workflows.recorded.reading import has_truth, is_labelled, label_file, load_truth, one_file_a_frame
@@ -114,7 +114,10 @@ def has_own_labels(project: Project, recording_id: int) -> bool:
 
 
 def import_own_labels(
-    project: Project, recording_id: int, progress: Callable[[int, int], None] | None = None
+    project: Project,
+    recording_id: int,
+    progress: Callable[[int, int], None] | None = None,
+    names: Mapping[str, str] = NO_NAMES,
 ) -> ImportReport:
     """Imports the true boxes beside a recording, for every frame without labels.
 
@@ -123,6 +126,8 @@ def import_own_labels(
 
     Args:
         progress: called with (frames done, frames).
+        names: the project's class of each class that an earlier import left out: only these boxes are imported, also
+            for frames with labels.
     """
     recording = FrameSource(project).recording(recording_id)
     if not has_truth(recording):
@@ -130,7 +135,7 @@ def import_own_labels(
         report.add(Note.PARTIAL, isinstance(recording, LookAround) and has_truth(recording.base))
         return report
     labels = RecordedLabels(project, [recording_id])
-    report = import_labels(project, labels, progress=progress, importer=Importer(AUTHOR))
+    report = import_labels(project, labels, None, progress, names, Importer(AUTHOR), beside=names)
     report.add(Note.FLAT, labels.flat)
     # labels of an earlier import of the recording
     report.notes.pop(Note.ALREADY, None)

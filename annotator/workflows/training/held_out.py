@@ -8,7 +8,7 @@ exact 3D IoU of the boxes that it then finds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +35,7 @@ from annotator.workflows.training.samples import frame_group
 DECISION_NAME = "held_out.json"
 # With fewer objects, the measurement would be chance. More objects than the maximum would take too long.
 MIN_OBJECTS, MOST_OBJECTS = 5, 40
+FOUND_NONE = "it finds none of the reviewed objects on held-out frames"
 # Objects with fewer points are not measured.
 MIN_POINTS = 20
 # Error of each edge of the boxes on the image, and the shortest side of a box that is used, pixels.
@@ -42,14 +43,14 @@ JITTER_PX, MIN_SIDE_PX = 2.0, 2.0
 
 
 class Rival(Strict):
-    """A view detector that was compared: its name for people, and its mean IoU on the held-out objects."""
+    """A detector that was compared: its name for people, and its mean IoU on the held-out objects."""
 
     name: str
     mean_iou: float
 
 
 class Decision(Strict):
-    """How held-out frames decided about a new view detector; stored beside its weights.
+    """How held-out frames decided about a new detector; stored beside its weights.
 
     Attributes:
         objects, frames: number of reviewed objects measured, and of their frames.
@@ -79,9 +80,16 @@ def measured_ious(decision: Decision) -> str:
 _HeldOutFrame = tuple[Frame, list[Box2D], list[OrientedBox]]
 """A frame, the boxes on its image that its objects are measured from, and their true boxes."""
 
+Found = tuple[Frame, list[OrientedBox | None], list[OrientedBox]]
+"""A frame, the boxes that a detector finds, None where it finds none, and the true boxes."""
+
 
 class HeldOut:
-    """The reviewed objects on a project's held-out frames; frames that cannot be read are left out."""
+    """The reviewed objects on a project's held-out frames; frames that cannot be read are left out.
+
+    Attributes:
+        found: what the detector that was measured last finds on each frame.
+    """
 
     def __init__(
         self,
@@ -98,6 +106,7 @@ class HeldOut:
         """
         self._project, self._check_stop, self._kind = project, check_stop, kind
         self._frames: list[_HeldOutFrame] = []
+        self.found: list[Found] = []
         source = FrameSource(project)
         held_out = [
             stored for stored in project.frames.of() if stored.id in labels and is_held_out(frame_group(stored))
@@ -135,18 +144,20 @@ class HeldOut:
 
         A class-agnostic detector measures what the labels enclose, since it knows both kinds of boxes.
         """
+        self.found = list(self._looked_for(model))
+        pairs = ((box, truth) for _, boxes, truths in self.found for box, truth in zip(boxes, truths, strict=True))
+        return float(np.mean([0.0 if box is None else iou_3d(box, truth) for box, truth in pairs]))
+
+    def _looked_for(self, model: UsedModel) -> Iterator[Found]:
         detector = load_detector(model.path, names=model.names)
         view_px = read_trained(model.path.parent).image_size_px
         config = rcv_config(self._project, view_px=view_px, without_frames=self._held_out)
         kind = self._kind if model.class_agnostic else model.box_kind
         config = config.for_detector(kind, model.class_agnostic, trained=model.trained)
         rotation = self._project.config.settings.rotation
-        ious: list[float] = []
         for frame, image_boxes, truths in self._frames:
             self._check_stop()
-            pairs = zip(lifted(frame, image_boxes, detector, config, rotation), truths, strict=True)
-            ious += [0.0 if box is None else iou_3d(box, truth) for box, truth in pairs]
-        return float(np.mean(ious))
+            yield frame, lifted(frame, image_boxes, detector, config, rotation), truths
 
 
 def held_out_groups(project: Project) -> frozenset[str]:

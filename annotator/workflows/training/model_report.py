@@ -7,7 +7,7 @@ import logging
 import math
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,12 +16,14 @@ import numpy as np
 from jaxtyping import UInt8
 
 from annotator.detection.dataset import GENERATED, MANIFEST_NAME, DatasetManifest, read_manifest, read_picture
+from annotator.detection.edge_errors import read_boxes
 from annotator.files import DOCUMENT_BYTES, open_text_file
 from annotator.formats.reading import read_model
+from annotator.geometry.outline import visible_edges
 from annotator.project import StoredModel
-from annotator.types import Box2D, Detector
+from annotator.types import Box2D, Detector, Frame, OrientedBox
 from annotator.types.errors import DetectionError, FormatError
-from annotator.workflows.training.held_out import DECISION_NAME, Decision
+from annotator.workflows.training.held_out import DECISION_NAME, Decision, Found
 
 FOLDER = "validation"
 PICTURES = 8
@@ -32,14 +34,33 @@ COLOURS_BGR = ((60, 200, 255), (120, 220, 80), (255, 140, 80), (200, 110, 255), 
 
 
 def write_validation_pictures(dataset: Path, manifest: DatasetManifest, detector: Detector, model: Path) -> list[Path]:
-    """Draws a detector's boxes on validation images, and writes these beside the model."""
-    pictures = [read_picture(dataset / name) for name in _chosen(manifest)]
-    detections = detector.detect(pictures)
+    """Draws the given boxes, white, and a detector's on validation images, and writes these beside the model."""
+    names = _chosen(manifest)
+    pictures = [read_picture(dataset / name) for name in names]
+    drawn = []
+    for name, picture, boxes in zip(names, pictures, detector.detect(pictures), strict=True):
+        height, width = picture.rgb.shape[:2]
+        truths = read_boxes(dataset, dataset / name, manifest.classes, width, height)
+        drawn.append(_drawn(picture.rgb, boxes, manifest.classes, truths))
+    return _write(drawn, model)
+
+
+def write_found_boxes(found: Sequence[Found], model: Path) -> None:
+    """Draws the boxes that a view detector finds on held-out frames in place of the validation images.
+
+    Reviewed boxes are white. Without such frames, the validation images stay.
+    """
+    if found:
+        _write((_with_boxes(*each) for each in found[:PICTURES]), model)
+
+
+def _write(drawn: Iterable[np.ndarray], model: Path) -> list[Path]:
+    """Writes images in BGR order beside a model, in place of those that are there."""
     folder = model / FOLDER
     temporary = Path(tempfile.mkdtemp(prefix=f".{FOLDER}.", dir=model))
     try:
-        for number, (picture, boxes) in enumerate(zip(pictures, detections, strict=True)):
-            path, bgr = temporary / f"{number}.jpg", _drawn(picture.rgb, boxes, manifest.classes)
+        for number, bgr in enumerate(drawn):
+            path = temporary / f"{number}.jpg"
             if not cv2.imwrite(str(path), bgr, [cv2.IMWRITE_JPEG_QUALITY, 90]):
                 raise DetectionError(f"{path}: cannot be written; is the disk full?")
         shutil.rmtree(folder, ignore_errors=True)
@@ -63,12 +84,16 @@ def _chosen(manifest: DatasetManifest) -> list[str]:
 
 
 def _drawn(
-    rgb: UInt8[np.ndarray, "h w 3"], boxes: Sequence[Box2D], classes: Sequence[str]
+    rgb: UInt8[np.ndarray, "h w 3"], boxes: Sequence[Box2D], classes: Sequence[str], truths: Sequence[Box2D]
 ) -> UInt8[np.ndarray, "h2 w2 3"]:
-    """Returns the image, enlarged, with boxes and scores; BGR order."""
+    """Returns the image, enlarged, with true boxes in white, and boxes with their scores; BGR order."""
     scale = max(LONG_SIDE_PX / max(rgb.shape[:2]), 1.0)
     height, width = (round(side * scale) for side in rgb.shape[:2])
     bgr = cv2.resize(np.ascontiguousarray(rgb[..., ::-1]), (width, height), interpolation=cv2.INTER_LINEAR)
+    for box in truths:
+        x_min, y_min, x_max, y_max = np.rint((np.array(box.xyxy) + 0.5) * scale - 0.5).astype(int).tolist()
+        for thickness, tone in ((3, (0, 0, 0)), (1, (255, 255, 255))):
+            cv2.rectangle(bgr, (x_min, y_min), (x_max, y_max), tone, thickness, cv2.LINE_AA)
     for box in boxes:
         if box.score < SHOWN_FROM:
             continue
@@ -83,6 +108,21 @@ def _drawn(
         place = (max(x_min, 2), y_min - 5 if y_min > 16 else y_max - 5)
         for thickness, tone in ((3, (0, 0, 0)), (1, colour)):
             cv2.putText(bgr, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, tone, thickness, cv2.LINE_AA)
+    return bgr
+
+
+def _with_boxes(
+    frame: Frame, boxes: Sequence[OrientedBox | None], truths: Sequence[OrientedBox]
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Returns the image of a frame, enlarged, with true boxes in white and those that were found; BGR order."""
+    scale = max(LONG_SIDE_PX / max(frame.rgb.shape[:2]), 1.0)
+    bgr = cv2.resize(np.ascontiguousarray(frame.rgb[..., ::-1]), None, fx=scale, fy=scale)
+    found = [box for box in boxes if box is not None]
+    for colour, shown, width in (((255, 255, 255), truths, 1), (COLOURS_BGR[0], found, 2)):
+        for pieces in visible_edges(frame.camera, shown):
+            for ends in np.rint((pieces + 0.5) * scale - 0.5).astype(np.int32):
+                cv2.line(bgr, ends[0].tolist(), ends[1].tolist(), (0, 0, 0), width + 2, cv2.LINE_AA)
+                cv2.line(bgr, ends[0].tolist(), ends[1].tolist(), colour, width, cv2.LINE_AA)
     return bgr
 
 

@@ -18,7 +18,8 @@ from annotator.types import DetectorKind
 from annotator.types.errors import DetectionError, FormatError
 from annotator.workflows.detectors import UsedModel, base_model, own_model, used_model
 from annotator.workflows.training.base_detector import BASE_TRAINING
-from annotator.workflows.training.held_out import MIN_OBJECTS, Decision, HeldOut, Rival, held_out_groups
+from annotator.workflows.training.held_out import FOUND_NONE, MIN_OBJECTS, Decision, HeldOut, Rival, held_out_groups
+from annotator.workflows.training.model_report import write_found_boxes
 
 # View size of a detector that starts from published or random weights, unless another one is configured, pixels.
 DEFAULT_VIEW_PX = 64
@@ -45,7 +46,7 @@ def image_config(project: Project, config: TrainingConfig, dataset_sha256: str) 
     if config.pretrained != "auto" or not newest:
         return config
     last = own_model(project, newest[0])
-    if _has_learned(project, last) or not _fits(last, config, any_size=False):
+    if has_learned(project, last) or not _fits(last, config, any_size=False):
         return config
     trained = read_trained(last.path.parent)
     continued = config.model_copy(update={"pretrained": last.path, "recipe": config.recipe | WARMUP})
@@ -102,7 +103,7 @@ class Choice:
 
     def __init__(self, project: Project, held_out: HeldOut, config: TrainingConfig) -> None:
         self.project, self.held_out = project, held_out
-        known = [model for model in _candidates(project) if not _has_learned(project, model)]
+        known = [model for model in _candidates(project) if not has_learned(project, model)]
         self.ious: dict[UsedModel, float] = {}
         self.left_out: list[str] = []
         for model in known if held_out.decides else ():
@@ -140,6 +141,8 @@ class Choice:
         """
         new = own_model(self.project, model)
         iou = self.held_out.mean_iou(new) if self.held_out.decides else None
+        if iou is not None:
+            write_found_boxes(self.held_out.found, model.path.parent)
         best = max(self.ious, key=self.ious.__getitem__, default=None)
         few = f"fewer than {MIN_OBJECTS} reviewed objects on held-out frames"
         used: UsedModel | None = None  # what is in use stays
@@ -149,6 +152,8 @@ class Choice:
             outcome = f"{few}: what was in use stayed in use"
         elif iou is None:
             used, outcome = new, f"{few}: put into use as the newest"
+        elif iou == 0:
+            outcome = f"{FOUND_NONE}: not put into use"
         elif best is None:
             used, outcome = new, "put into use: there was no detector to compare it with on held-out frames"
         elif iou > self.ious[best]:
@@ -205,7 +210,7 @@ def _fits(model: UsedModel, config: TrainingConfig, any_size: bool) -> bool:
     return model.path.is_file() and trained.config.model == config.model and config.image_size_px in sizes
 
 
-def _has_learned(project: Project, model: UsedModel) -> bool:
+def has_learned(project: Project, model: UsedModel) -> bool:
     """Whether a detector may have been trained on frames that are held out now: unknown training data counts."""
     if model.name:  # the base detector
         return False

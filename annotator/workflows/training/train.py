@@ -25,6 +25,7 @@ from annotator.workflows.detectors import AGNOSTIC, UsedModel, load_detector
 from annotator.workflows.recorded.adjusting import learn_up
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.held_out import Decision, HeldOut, held_out_groups
+from annotator.workflows.training.image_choice import decide
 from annotator.workflows.training.model_report import write_validation_pictures
 from annotator.workflows.training.rounds import (
     DEFAULT_VIEW_PX,
@@ -56,7 +57,7 @@ class Trained:
 
     Attributes:
         left_out: messages on data left out: unreadable frames, unreviewed proposals, boxes of the other kind.
-        decision: how held-out frames decided; None for an image detector.
+        decision: how held-out frames decided; None before that.
         learned: messages on up directions that reviewed boxes gave before (`learn_up`).
     """
 
@@ -80,10 +81,14 @@ class Run:
     def _folder(self) -> Path:
         return self.project.models_folder / self.role.value
 
+    @property
+    def dataset(self) -> Path:
+        return self._folder / DATASET
+
     def write(self, samples: Iterable[TrainingSample]) -> DatasetManifest:
         """Writes the training set, which replaces the last one of this role."""
         held_out = held_out_groups(self.project)
-        return write_dataset(self._folder / DATASET, samples, self.classes, held_out.__contains__, self.kind)
+        return write_dataset(self.dataset, samples, self.classes, held_out.__contains__, self.kind)
 
     def train(
         self, manifest: DatasetManifest, config: TrainingConfig, report: Report | None, stop: Stop | None
@@ -92,7 +97,7 @@ class Run:
         # depends on the labels and settings only
         settings = hashlib.sha256(config.model_dump_json().encode()).hexdigest()
         out = self._folder / f"{manifest.sha256[:12]}-{settings[:8]}"
-        dataset = self._folder / DATASET
+        dataset = self.dataset
         try:
             result = train_detector(dataset, out, config, report, self.role, stop)
         except TrainingStoppedError:
@@ -201,8 +206,8 @@ def train(
 
     Reviewed boxes may give the up direction of a recording first (`learn_up`).
 
-    An image detector is activated as soon as it is trained. The view detector is trained in parts (`rounds`), and after
-    each part held-out frames decide whether it is activated.
+    Held-out frames decide whether a detector is put into use. The view detector is trained in parts (`rounds`), and
+    they decide after each part.
 
     Datasets and runs are stored in the project's `models/` under a hash of their content, so that an interrupted
     training on the same labels continues. Labelled frames that cannot be read are left out and reported.
@@ -239,9 +244,9 @@ def _train_image(
     written = run.write(unless_stopped(real, partial(_check_stop, stop)))
     config = image_config(project, plan.image, written.sha256)
     ran = run.train(written, config, report, stop)
-    model = project.models.activate(ran.model.id)
-    seconds = time.perf_counter() - begin
-    return replace(ran, model=model, seconds=seconds, left_out=tuple(left_out))
+    decision = decide(project, run.dataset, written, ran.model, ran.result.note)
+    model, seconds = project.models.get(ran.model.id), time.perf_counter() - begin
+    return replace(ran, model=model, seconds=seconds, left_out=tuple(left_out), decision=decision)
 
 
 class _ViewTraining:

@@ -32,7 +32,7 @@ playwright = pytest.importorskip("playwright.sync_api", reason="playwright is no
 expect = playwright.expect
 
 LABELLED = (0, 4)
-TRAINING = {"pictures-image": 16, "pictures-view": 24, "size-image": 64, "size-view": 64}
+TRAINING = {"minutes": 1, "size-image": 64, "size-view": 64}
 TRAINED_WITHIN_MS = 540_000.0
 
 

@@ -52,7 +52,7 @@ def test_a_new_project_can_be_created_filled_and_opened(
     expect(dialog.get_by_test_id("job-import-text")).to_have_text("imported as labels: 15 person in 5 frames")
     start.get_by_test_id("dialog-done").click()
     card = start.get_by_test_id("project-crowd")
-    expect(card).to_contain_text("1 recording, 5 frames")
+    expect(card).to_contain_text("1 recording, 5 of 5 frames done")
     expect(card).to_contain_text("15 accepted")
     expect(card.get_by_test_id("job-import")).to_be_hidden()
     project = live.context.project("crowd")
@@ -142,6 +142,28 @@ def test_frames_that_cannot_be_read_are_left_out_and_a_moved_recording_is_locate
     assert room.recordings.get(1).path == generated / "people"
 
 
+def test_a_sample_is_made_by_one_click_and_guided(
+    start: Page, shop: Shop, generated: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("annotator.workflows.sample.FRAMES", 2)
+    shop.projects.append("sample")
+    start.get_by_test_id("sample-project").click()
+    guide = start.get_by_test_id("guide")
+    now = guide.locator("[aria-current=step]")
+    expect(now).to_have_text(["Drag a box around a person on the image", "Space takes the dashed box"])
+    project = shop.live.context.project("sample")
+    label_truth(project, project.recordings.get(1).path, 1)
+    expect(now).to_have_text(["Export the boxes"])
+    now.get_by_role("link").click()
+    expect(start.get_by_test_id("export-start")).to_be_enabled()
+    start.get_by_test_id("guide-end").click()
+    expect(guide).to_be_hidden()
+    start.get_by_test_id("home").click()
+    card = start.get_by_test_id("project-sample")
+    expect(card).to_contain_text("1 of 2 frames done")
+    expect(card.get_by_test_id("next-sample")).to_have_text("Go on with the next frame")
+
+
 def test_recordings_and_projects_are_managed_from_a_menu(room: Project, start: Page, shop: Shop) -> None:
     get, name = start.get_by_test_id, room.path.name
     shop.projects += ["hall", "hall-copy"]
@@ -182,12 +204,13 @@ def test_recordings_and_projects_are_managed_from_a_menu(room: Project, start: P
     expect(get("remove-dialog").get_by_role("alert")).to_have_text("Please type the name of the project: hall")
     get("new-name").fill("hall")
     get("dialog-remove").click()
-    expect(get("removed-dialog")).to_contain_text("annotator project copy projects/.removed/hall-")
-    get("dialog-close").click()
+    expect(get("project-hall")).to_have_count(0)
+    get("removed").locator("summary").click()
+    get("bring-back-hall").click()
+    expect(get("project-hall")).to_contain_text("3 accepted")
     choose("remove", "hall-copy")  # without labels, no name has to be typed
     expect(get("new-name")).to_have_count(0)
     get("dialog-remove").click()
-    get("dialog-close").click()
     expect(get("project-hall-copy")).to_have_count(0)
 
 

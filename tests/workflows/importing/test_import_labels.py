@@ -33,7 +33,7 @@ from annotator.workflows.importing import (
 )
 from annotator.workflows.importing.boxes_3d import create_if_unlabelled
 from annotator.workflows.importing.label_set import LabelSet
-from annotator.workflows.importing.placing import AUTHOR
+from annotator.workflows.importing.placing import AUTHOR, OwnClasses
 from annotator.workflows.recorded.own_labels import import_own_labels
 
 BOX = OrientedBox.from_parts(np.array([0.1, 0.2, 3.0]), np.eye(3), np.array([0.5, 0.4, 1.8]))
@@ -71,6 +71,35 @@ def test_labelled_frames_are_not_changed_and_other_classes_are_counted(people: P
     assert (done.boxes, done.of(Note.OTHER_CLASS)) == ({"person": 1}, {"horse": 1})
     assert [label.author for label in people.labels.of_frame(first.id)] == ["me"]
     assert [label.track_id for label in people.labels.of_frame(second.id)] == [4]
+
+
+@pytest.mark.parametrize(
+    ("theirs", "ours"),
+    [
+        ("Person", "person"),
+        ("traffic light", "Traffic_Light"),
+        ("car", "car"),
+        ("CAR", None),
+        ("Pedestrian", "person"),
+        ("Cyclist", None),
+        ("bus", None),
+    ],
+)
+def test_a_class_of_the_same_name_in_another_spelling_is_the_same(theirs: str, ours: str | None) -> None:
+    """Unless the project has two of them; the names that are given come first."""
+    names = {"Pedestrian": "person", "bus": "", "Cyclist": "no class"}
+    assert OwnClasses(("person", "Traffic_Light", "car", "Car", "bus"), names).of(theirs) == ours
+
+
+def test_boxes_of_classes_that_were_left_out_are_imported_beside_the_others(people: Project) -> None:
+    first = people.frames.of()[0]
+    far = OrientedBox.from_parts(np.array([1.5, 0.2, 6.0]), np.eye(3), np.array([0.5, 0.4, 1.8]))
+    given = labels_of({f"people/{first.key}": [Truth("Person", BOX), Truth("Rider", far)]})
+    assert import_labels(people, given).of(Note.OTHER_CLASS) == {"Rider": 1}
+    for _ in range(2):  # again: a label covers the box
+        import_labels(people, given, names={"Rider": "person"}, beside=("Rider",))
+        labels = people.labels.of_frame(first.id)
+        assert [label.box.center_m.tolist() for label in labels] == [[0.1, 0.2, 3.0], [1.5, 0.2, 6.0]]
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ export function createSheet(app, { desk, queue, preload, open, next, isFollowed 
     const label = desk.stored();
     if (!label) return;
     if (label.track_id === null || label.track_id === undefined)
-      return app.toast("This box has no track. Enter a track id, or run `annotator track`.", "warn");
+      return app.toast("This box has no track yet. Type a number in its field Track.", "warn");
     // on a new server these share the processor with the pictures, which are awaited
     const held = [preload.hold(), app.viewport.hold()];
     try {

@@ -169,7 +169,7 @@ export function createTracks(
     const label = desk.stored();
     if (!label) return;
     if (label.track_id === null)
-      return app.toast("This box has no track. Enter a track id, or run `annotator track`.", "warn");
+      return app.toast("This box has no track yet. Type a number in its field Track.", "warn");
     try {
       const index = currentFrame(app).frame.index ?? 0;
       /** @type {Api.TrackBox[]} */

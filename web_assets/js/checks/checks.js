@@ -60,8 +60,13 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     if (warnings.length === 0) {
       const nothing =
         labels === 0
-          ? ["No boxes yet", "Label objects, or let the detectors propose some."]
-          : ["Nothing looks wrong", "Sizes, points, headings and overlaps of all boxes were checked."];
+          ? ["No boxes yet", "Label objects, or let the detectors propose some.", "label", "Label objects"]
+          : [
+              "Nothing looks wrong",
+              "Sizes, points, headings and overlaps were checked.",
+              "export",
+              "Export the boxes",
+            ];
       patch(
         body,
         failed,
@@ -70,6 +75,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
           { class: "empty panel", "data-testid": "no-warnings" },
           h("h2", {}, nothing[0]),
           h("p", {}, nothing[1]),
+          h("a", { class: "button", href: makeHash(app.state.route.project, nothing[2]) }, nothing[3]),
         ),
       );
       return;
@@ -116,7 +122,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
         "a",
         { href, "data-testid": "warning", "data-uid": uid },
         h("span", { class: "grow" }, message),
-        h("span", { class: "muted number" }, `${recording} ${key}`),
+        h("span", { class: "muted number" }, `${recording}, frame ${key}`),
       ),
     );
   }

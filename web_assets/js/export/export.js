@@ -53,7 +53,7 @@ async function begin(
     "div",
     { class: "empty" },
     h("p", {}, "No boxes are accepted yet. Review proposals, or label objects, first."),
-    h("a", { class: "button", href: makeHash(app.state.route.project, "annotate") }, "Review"),
+    h("a", { class: "button", href: makeHash(app.state.route.project, "annotate") }, "Annotate"),
   );
   const form = h(
     "form",

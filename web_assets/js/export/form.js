@@ -1,6 +1,6 @@
 /** The form of an export: format, states, classes, recordings, and the division of the frames into parts. */
 
-import { count, h } from "../dom.js";
+import { count, h, remembered } from "../dom.js";
 
 const STATES = [
   ["accepted", "accepted"],
@@ -36,20 +36,26 @@ export function createExportForm(
   const counts = STATES.map(() => h("span", { class: "muted number" }));
   const ofClasses = classes.map((name) => check(name, true));
   const ofRecordings = recordings.map(({ id, name }) => check(String(id), true, `export-recording-${name}`));
-  const format = h(
-    "select",
-    { "data-testid": "export-format", onchange: onChange },
-    options(formats.map(({ name, summary }) => [name, `${name}: ${summary}`])),
+  const format = remembered(
+    `export ${app.state.route.project} format`,
+    h(
+      "select",
+      { "data-testid": "export-format", onchange: onChange },
+      options(formats.map(({ name, summary }) => [name, `${name}: ${summary}`])),
+    ),
   );
   const pictures = h("select", { "data-testid": "export-pictures" }, options(PICTURES));
   const picturesField = h("label", { class: "field" }, h("span", {}, "2D boxes on"), pictures);
   const skip = check("skip", false, "export-skip-unreadable");
   const divide = check("divide", false, "export-divide");
-  const shares = h("input", {
-    value: "train=0.8,val=0.2",
-    "aria-label": "Parts and their shares",
-    "data-testid": "export-shares",
-  });
+  const shares = remembered(
+    `export ${app.state.route.project} shares`,
+    h("input", {
+      value: "train=0.8,val=0.2",
+      "aria-label": "Parts and their shares",
+      "data-testid": "export-shares",
+    }),
+  );
   const by = h(
     "select",
     { "aria-label": "Split by", "data-testid": "export-split-by" },

@@ -5,12 +5,10 @@ import { openDialog } from "../dialogs.js";
 import { count, h } from "../dom.js";
 import { messageOf } from "../errors.js";
 import { takeJob } from "../jobs.js";
+import { createClassChoice } from "./class_choice.js";
 
 /** The server's limit. */
 const MOST_BYTES = 64 * 2 ** 20;
-/** Values of a choice beside the project's classes; these have at least one character. */
-const LEAVE_OUT = "";
-const ADD = "\n";
 /** @type {[Api.BoxKind, string][]} */
 const KINDS = [
   ["silhouette", "the visible part of each object"],
@@ -45,8 +43,7 @@ export async function importBoxes(app, name) {
   /** Id of the file whose name is offered as the source. */
   let latest = "";
   let isReading = false;
-  /** @type {Map<string, HTMLSelectElement>} */
-  const choices = new Map();
+  const classes = createClassChoice(app, project, false);
 
   const file = h("input", {
     type: "file",
@@ -123,12 +120,12 @@ export async function importBoxes(app, name) {
     "Add the file's attributes that the project lacks, and give labels the values that they lack",
   );
   const about = h("div", { class: "stack", role: "status", "data-testid": "boxes-about" });
-  const classes = h("fieldset", { class: "choices", hidden: true, "data-testid": "boxes-classes" });
 
   async function send() {
     const [chosen] = file.files ?? [];
     if (!chosen) return null;
-    if (chosen.size > MOST_BYTES) throw new Error("The file has more than 64 MiB. Use `annotator import` instead.");
+    if (chosen.size > MOST_BYTES)
+      throw new Error("The file has more than 64 MiB, the most that a page may send. Divide it.");
     return app.api.upload(`${projectPath(name, "boxes-files")}?name=${encodeURIComponent(chosen.name)}`, chosen);
   }
 
@@ -157,7 +154,7 @@ export async function importBoxes(app, name) {
       about.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
     }
     isReading = false;
-    showClasses();
+    classes.show(sent?.boxes ?? {});
     showKind();
   }
 
@@ -175,59 +172,16 @@ export async function importBoxes(app, name) {
       : "The boxes have no scores.";
   }
 
-  function showClasses() {
-    const unknown = Object.keys(sent?.boxes ?? {}).filter((label) => !project.classes.includes(label));
-    classes.hidden = unknown.length === 0;
-    for (const label of unknown) if (!choices.has(label)) choices.set(label, classChoice(label));
-    classes.replaceChildren(
-      h("legend", { class: "field-label" }, "Classes that the project does not have"),
-      ...unknown.map((label) =>
-        h(
-          "label",
-          { class: "row" },
-          h("span", { class: "grow ellipsis" }, `${label} (${count(sent?.boxes[label] ?? 0, "box", "boxes")})`),
-          choices.get(label),
-        ),
-      ),
-    );
-  }
-
-  function classChoice(/** @type {string} */ label) {
-    const like = project.classes.find((known) => known.toLowerCase() === label.toLowerCase());
-    return h(
-      "select",
-      { "aria-label": `Class for ${label}`, "data-testid": `boxes-class-${label}` },
-      h("option", { value: LEAVE_OUT, selected: !like }, "leave out"),
-      project.classes.map((known) => h("option", { value: known, selected: known === like }, `are ${known}`)),
-      h("option", { value: ADD }, `add the class ${label}`),
-    );
-  }
-
-  /** Adds the classes that the project lacks by now: an earlier try may have added some. */
-  async function addClasses(/** @type {string[]} */ labels) {
-    if (!labels.length) return;
-    /** @type {Api.ProjectInfo} */
-    const present = await app.api.get(projectPath(name));
-    const added = labels.filter((label) => !present.classes.includes(label));
-    if (added.length) await app.api.patch(projectPath(name), { classes: [...present.classes, ...added] });
-  }
-
   async function start() {
     if (isReading) throw new Error("The file was still being read. Check what it has, then import it.");
     if (!sent) throw new Error("Choose a file with boxes first.");
     if (sent.ambiguous) throw new Error("Choose the recording of the boxes: several have frames of these names.");
-    const labels = Object.keys(sent.boxes);
-    const chosen = labels.flatMap((label) => {
-      const value = choices.get(label)?.value ?? label;
-      return value === LEAVE_OUT ? [] : [{ label, to: value === ADD ? label : value, isNew: value === ADD }];
-    });
-    if (labels.length && !chosen.length) throw new Error("All classes are left out. Choose one of the project's.");
-    await addClasses(chosen.filter(({ isNew }) => isNew).map(({ label }) => label));
+    const names = await classes.take();
     /** @type {Api.Job} */
     const job = await app.api.post(projectPath(name, "jobs"), {
       kind: "boxes",
       upload: sent.id,
-      names: Object.fromEntries(chosen.filter(({ label, to }) => label !== to).map(({ label, to }) => [label, to])),
+      names,
       recording: recording.value ? Number(recording.value) : null,
       add_attributes: addAttributes.checked,
       ...(sent.is_3d
@@ -262,7 +216,7 @@ export async function importBoxes(app, name) {
         ),
       ),
       about,
-      classes,
+      classes.root,
       ...(project.recordings.length > 1
         ? [h("label", { class: "field" }, h("span", {}, "The boxes are of"), recording)]
         : []),

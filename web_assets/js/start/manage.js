@@ -121,8 +121,7 @@ async function removeProject(/** @type {App} */ app, /** @type {Api.ProjectSumma
   const labels = numberOfLabels(project);
   const { input, root } = nameField(`To remove it, type its name: ${name}`, "");
   const mustType = labels > 0 || Boolean(problem);
-  /** @type {Api.RemovedProject | null} */
-  const removed = await openDialog({
+  return openDialog({
     title: `Remove ${name}`,
     testid: "remove-dialog",
     content: [
@@ -136,7 +135,7 @@ async function removeProject(/** @type {App} */ app, /** @type {Api.ProjectSumma
       h(
         "p",
         { class: "help" },
-        "Nothing is deleted: its folder is moved to .removed beside the projects, with labels and detectors. " +
+        "Nothing is deleted: you can bring it back, with labels and detectors, at the end of the list of projects. " +
           "The files of its recordings stay where they are.",
       ),
       ...(mustType ? [root] : []),
@@ -151,21 +150,46 @@ async function removeProject(/** @type {App} */ app, /** @type {Api.ProjectSumma
       return app.api.del(projectPath(name));
     },
   });
-  if (removed === null) return;
-  await openDialog({
-    title: `${name} was removed`,
-    testid: "removed-dialog",
-    content: [
-      h("p", {}, "To bring it back, run this command beside the folder of projects:"),
-      h("code", {}, removed.command),
-      h("p", { class: "help" }, `To free its space, delete the folder ${removed.folder}.`),
-    ],
-    actions: [{ label: "Close", value: "close" }],
-  });
 }
 
 const numberOfLabels = (/** @type {Api.ProjectSummary} */ { labels_by_state: states }) =>
   Object.values(states).reduce((sum, number) => sum + number, 0);
+
+/** The removed projects, which can be brought back. */
+export function createRemoved(/** @type {App} */ app, /** @type {() => unknown} */ refresh) {
+  const list = h("ul", { class: "recordings" });
+  const root = h("details", { hidden: true, "data-testid": "removed" }, h("summary", {}, "Removed projects"), list);
+
+  async function bringBack(/** @type {Api.RemovedProject} */ { id }) {
+    try {
+      await app.api.post(`/api/removed-projects/${encodeURIComponent(id)}/restore`);
+    } catch (error) {
+      app.toast(error);
+    }
+    await refresh();
+  }
+
+  function row(/** @type {Api.RemovedProject} */ project) {
+    const when = new Date(project.removed_s * 1000).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
+    return h(
+      "li",
+      { class: "row" },
+      h("span", { class: "ellipsis" }, project.name),
+      h("span", { class: "muted" }, `removed ${when}`),
+      button("Bring back", () => bringBack(project), { "data-testid": `bring-back-${project.name}` }),
+    );
+  }
+
+  return {
+    root,
+    async load() {
+      /** @type {Api.RemovedProject[]} */
+      const removed = await app.api.get("/api/removed-projects");
+      root.hidden = removed.length === 0;
+      list.replaceChildren(...removed.map(row));
+    },
+  };
+}
 
 // -- the dialog that creates a project
 

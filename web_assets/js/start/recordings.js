@@ -71,6 +71,19 @@ async function add(app, { project, done, labels, cameras }, entry, button, again
   if (options === null) return;
   button.disabled = true;
   button.textContent = "Adding …";
+  const leaveOut = (/** @type {string} */ text, /** @type {object} */ more) => {
+    const leave = h("button", { type: "button", "data-testid": "leave-out-broken" }, text);
+    leave.addEventListener("click", () => {
+      leave.remove();
+      void add(app, { project, done, labels, cameras }, entry, button, {
+        ...again,
+        options,
+        leave_out_broken: true,
+        ...more,
+      });
+    });
+    return leave;
+  };
   try {
     /** @type {Api.AddedRecordings} */
     const { added, job, note } = await app.api.post(projectPath(project, "recordings"), {
@@ -80,20 +93,18 @@ async function add(app, { project, done, labels, cameras }, entry, button, again
       options,
     });
     done.append(
-      ...added.flatMap((one) => [
-        h("p", { "data-testid": "added-recording" }, glyph(one.broken.length ? "warning" : "check"), describe(one)),
-        ...one.broken.map((text) => h("p", { class: "help", "data-testid": "broken-frames" }, text)),
-      ]),
+      ...added.flatMap((one) => {
+        const isBroken = one.broken.length > 0;
+        const [icon, look] = isBroken
+          ? /** @type {const} */ (["warning", "warn"])
+          : /** @type {const} */ (["check", ""]);
+        return [
+          h("p", { class: look, "data-testid": "added-recording" }, glyph(icon), describe(one)),
+          ...one.broken.map((text) => h("p", { class: "help", "data-testid": "broken-frames" }, text)),
+        ];
+      }),
     );
-    if (added.some((one) => one.can_leave_out)) {
-      const leaveOut = h("button", { type: "button", "data-testid": "leave-out-broken" }, "Leave these frames out");
-      leaveOut.addEventListener("click", () => {
-        leaveOut.remove();
-        const changed = { options, labels: false, leave_out_broken: true };
-        void add(app, { project, done, labels, cameras }, entry, button, changed);
-      });
-      done.append(leaveOut);
-    }
+    if (added.some((one) => one.can_leave_out)) done.append(leaveOut("Leave these frames out", { labels: false }));
     const notes = new Set(added.flatMap((one) => one.notes));
     done.append(...[...notes].map((text) => h("p", { class: "help", "data-testid": "reader-note" }, text)));
     if (job) done.append(jobLine(app, job));
@@ -116,7 +127,10 @@ async function add(app, { project, done, labels, cameras }, entry, button, again
       button.disabled = true;
     } else {
       done.append(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
+      if (error instanceof ApiError && error.kind === "BrokenStartError")
+        done.append(leaveOut("Try all frames, and leave out those that cannot be read", {}));
     }
+    done.lastElementChild?.scrollIntoView({ block: "nearest" });
   }
 }
 
@@ -253,9 +267,8 @@ export async function manageRecordings(/** @type {App} */ app, /** @type {string
   }
 
   async function remove(/** @type {Api.ListedRecording} */ { id, name, labels }) {
-    const text =
-      `Its ${count(labels, "label")} stay in the project's history, and come back with it. Until then they are ` +
-      "neither shown nor counted, exported or trained on. Its files stay where they are.";
+    const until = "are not shown, counted, exported or trained on until you bring it back.";
+    const text = `${labels ? `Its ${count(labels, "label")} ${until} ` : ""}Its files stay where they are.`;
     if (await confirm(`Remove ${name} from ${project}?`, text, "Remove", "danger")) {
       await show(app.api.del(path(id)));
     }
@@ -280,16 +293,39 @@ export async function manageRecordings(/** @type {App} */ app, /** @type {string
  *     opens a folder; "" lists the server's folders.
  */
 export function createFolders(app, options) {
-  const crumbs = h("nav", { class: "crumbs", "aria-label": "Folder" });
+  const crumbs = h("nav", { class: "crumbs grow", "aria-label": "Folder" });
+  const typed = h("input", {
+    placeholder: "or type a path, then Enter",
+    "aria-label": "Path of a folder or recording on the server",
+    "data-testid": "folder-path",
+    onkeydown(/** @type {KeyboardEvent} */ event) {
+      if (event.key !== "Enter") return;
+      // not the dialog's own action
+      event.preventDefault();
+      event.stopPropagation();
+      void show(
+        typed.value
+          .trim()
+          .replace(/^["']|["']$/g, "")
+          .replace(/(.)\/$/, "$1"),
+      );
+    },
+  });
   const list = h("ul", { class: "folders", "data-testid": "folders", tabindex: -1 });
 
-  async function show(/** @type {string} */ path) {
+  async function show(/** @type {string} */ wanted) {
     try {
-      /** @type {Api.FolderEntry[]} */
-      const entries = await app.api.get(`/api/folders?path=${encodeURIComponent(path)}`);
+      /** @type {Api.FolderListing} */
+      const { path, here, entries, notes, kinds } = await app.api.get(
+        `/api/folders?path=${encodeURIComponent(wanted)}`,
+      );
+      typed.value = path;
       crumbs.replaceChildren(...makeCrumbs(path, show));
       list.replaceChildren(
-        ...(entries.length ? entries.map((entry) => makeEntry(entry, show, options)) : [nothing(path)]),
+        ...[...(here ? [{ ...here, is_folder: false }] : []), ...entries].map((entry) =>
+          makeEntry(entry, show, options),
+        ),
+        ...explain(path, entries.length > 0 || here !== null, notes, kinds),
       );
       list.focus();
     } catch (error) {
@@ -297,14 +333,36 @@ export function createFolders(app, options) {
     }
   }
 
-  return { nodes: [crumbs, list], show };
+  return { nodes: [h("div", { class: "row" }, crumbs, typed), list], show };
 }
 
-function nothing(/** @type {string} */ path) {
-  const text = path
-    ? "This folder is empty."
-    : "The server has no folder with recordings. Start it with --folder PATH.";
-  return h("li", { class: "empty" }, text);
+/** What is not listed, and what to look for where there is no recording. */
+function explain(
+  /** @type {string} */ path,
+  /** @type {boolean} */ hasAny,
+  /** @type {string[]} */ notes,
+  /** @type {string[]} */ kinds,
+) {
+  /** @type {HTMLElement[]} */
+  const lines = notes.map((text) => h("p", {}, `${text[0].toUpperCase()}${text.slice(1)}.`));
+  if (!hasAny && !notes.length)
+    lines.push(
+      h("p", {}, path ? "This folder is empty." : "This server offers no folder. Whoever runs it can offer some."),
+    );
+  if (kinds.length)
+    lines.push(
+      h(
+        "details",
+        { open: !hasAny },
+        h("summary", {}, "What a recording must have"),
+        h(
+          "ul",
+          {},
+          kinds.map((text) => h("li", {}, text)),
+        ),
+      ),
+    );
+  return lines.length ? [h("li", { class: "help", "data-testid": "folder-notes" }, lines)] : [];
 }
 
 function makeCrumbs(/** @type {string} */ path, /** @type {(path: string) => void} */ show) {

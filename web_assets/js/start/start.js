@@ -1,12 +1,14 @@
 /** The start page: the projects with what can be done to them, a new project, and recordings for them. */
 
+import { projectPath } from "../api.js";
 import { editClasses } from "../classes/classes.js";
 import { button, count, glyph, h, iconButton } from "../dom.js";
 import { messageOf } from "../errors.js";
+import { guide } from "../guide.js";
 import { createJobLine, followImports, isActive, isOfImport, takeJob } from "../jobs.js";
 import { makeHash } from "../router.js";
 import { importBoxes } from "./boxes_file.js";
-import { createMenu, createProject } from "./manage.js";
+import { createMenu, createProject, createRemoved } from "./manage.js";
 import { addRecordings, locateRecording } from "./recordings.js";
 
 const STATES = ["proposed", "accepted", "edited", "rejected"];
@@ -23,16 +25,52 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
    * @type {Set<string>}
    */
   const started = new Set();
+  /** Id of the job that makes a sample for this operator. */
+  let sample = "";
+  const removed = createRemoved(app, refresh);
   const page = h(
     "div",
     { class: "page start" },
-    h("div", { class: "row" }, h("h1", { class: "grow" }, "Projects"), newButton()),
+    h("div", { class: "row" }, h("h1", { class: "grow" }, "Projects"), sampleButton(), newButton()),
     list,
+    removed.root,
     h("p", { class: "help" }, app.state.version ? `annotator ${app.state.version}` : ""),
   );
 
   function newButton() {
     return button([glyph("plus"), "New project"], make, { class: "primary", "data-testid": "new-project" });
+  }
+
+  function sampleButton() {
+    return button("Try a sample project", () => begunSample(), {
+      title: "Makes a project with a generated recording, in some seconds, and shows what to do with it",
+      "data-testid": "sample-project",
+    });
+  }
+
+  async function begunSample() {
+    try {
+      /** @type {Api.Sample} */
+      const { name, job } = await app.api.post("/api/sample-project");
+      if (!job) return open(name);
+      sample = job.id;
+      takeJob(app, job);
+      await refresh();
+    } catch (error) {
+      app.toast(error);
+    }
+  }
+
+  function open(/** @type {string} */ name) {
+    guide(name);
+    app.go(makeHash(name, "annotate"));
+  }
+
+  /** Opens the sample once it is there. */
+  function openSample() {
+    const job = app.state.jobs.find(({ id, state }) => id === sample && state === "done");
+    if (job) open(job.project);
+    return Boolean(job);
   }
 
   async function make() {
@@ -80,6 +118,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
     try {
       /** @type {Api.ProjectSummary[]} */
       const projects = await app.api.get("/api/projects");
+      await removed.load();
       const menu = list.querySelector(":popover-open");
       const text = JSON.stringify(projects);
       // new cards would take an open menu away, and a click whose button is down
@@ -115,7 +154,8 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
       { class: "panel empty", "data-testid": "no-projects" },
       h("h2", {}, "No project yet"),
       h("p", {}, "A project has recordings, their labels, and the detectors that are trained on them."),
-      newButton(),
+      h("p", {}, "The sample takes some seconds, and leads through the first box: drag, take, follow, export."),
+      h("div", { class: "row" }, sampleButton(), newButton()),
     );
   }
 
@@ -123,7 +163,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
     for (const line of lines) line.show();
   }
 
-  const stop = [app.state.on("jobs", showLines), followImports(app, refresh)];
+  const stop = [app.state.on("jobs", showLines), followImports(app, () => openSample() || refresh())];
   root.append(page);
   refresh();
   return {
@@ -159,7 +199,6 @@ function importLine(/** @type {App} */ app, /** @type {string} */ project, /** @
 function card(project, { add, addBoxes, locate, change, line, menu }) {
   const { name, problem } = project;
   const labels = project.labels_by_state;
-  const proposed = labels.proposed ?? 0;
   const title = problem
     ? h("h2", { class: "ellipsis" }, name)
     : h(
@@ -174,18 +213,19 @@ function card(project, { add, addBoxes, locate, change, line, menu }) {
     box.append(h("p", { class: "error-box" }, problem));
     return box;
   }
+  const isEmpty = project.recordings === 0;
   const addButton = button([glyph("plus"), "Recording"], () => add(name), {
-    class: project.recordings ? "" : "primary",
+    class: isEmpty ? "primary" : "",
     "data-testid": `add-recording-${name}`,
   });
   const boxesButton = button([glyph("plus"), "Boxes"], () => addBoxes(name), {
     "data-testid": `import-boxes-${name}`,
   });
   boxesButton.title = "Import 2D boxes on camera images, or 3D boxes as proposals or labels, from a file";
-  boxesButton.hidden = !project.recordings;
-  const links = project.recordings
-    ? [link(name, "annotate", proposed ? `Review ${proposed.toLocaleString("en")}` : "Annotate", proposed > 0)]
-    : [];
+  boxesButton.hidden = isEmpty;
+  const next = nextStep(project);
+  const done = `${project.frames_done.toLocaleString("en")} of ${count(project.frames, "frame")} done`;
+  box.prepend(picture(project));
   box.append(
     h(
       "p",
@@ -198,16 +238,46 @@ function card(project, { add, addBoxes, locate, change, line, menu }) {
     h(
       "p",
       { class: "number muted" },
-      project.recordings
-        ? `${count(project.recordings, "recording")}, ${count(project.frames, "frame")}`
-        : "No recording yet: add one to begin.",
+      isEmpty ? "No recording yet: add one to begin." : `${count(project.recordings, "recording")}, ${done}`,
     ),
+    h("progress", { max: project.frames || 1, value: project.frames_done, "aria-label": done, title: done }),
     h("p", { class: "number states" }, stateCounts(labels)),
     ...project.missing.map((recording) => missing(recording, () => locate(name, recording))),
     line,
-    h("div", { class: "row" }, links, addButton, boxesButton),
+    h("div", { class: "row next" }, next && link(name, next.mode, next.text)),
+    h("div", { class: "row" }, addButton, boxesButton),
   );
   return box;
+}
+
+/** What to do next in a project with recordings. */
+export function nextStep(
+  /** @type {Api.ProjectSummary} */ { frames, frames_done, labels_by_state: labels, recordings },
+) {
+  const proposed = labels.proposed ?? 0;
+  const reviewed = (labels.accepted ?? 0) + (labels.edited ?? 0);
+  if (!recordings) return null;
+  if (proposed) return { mode: "annotate", text: `Review ${count(proposed, "proposal")}` };
+  if (!reviewed) return { mode: "annotate", text: "Draw the first box" };
+  if (frames_done < frames) return { mode: "annotate", text: "Go on with the next frame" };
+  return { mode: "export", text: "Export the boxes" };
+}
+
+/** The first frame of a project; its place stays where there is none. */
+function picture(/** @type {Api.ProjectSummary} */ { name, first_frame }) {
+  const frame = h("a", { class: "picture", href: makeHash(name, "annotate"), tabindex: -1, "aria-hidden": true });
+  if (first_frame === null) return frame;
+  const src = `${projectPath(name, "frames", first_frame)}/image.jpg?width=320`;
+  // a frame that cannot be read has none
+  frame.append(
+    h("img", {
+      src,
+      alt: "",
+      loading: "lazy",
+      onerror: (/** @type {Event} */ { target }) => target instanceof Element && target.remove(),
+    }),
+  );
+  return frame;
 }
 
 function missing(/** @type {Api.MissingRecording} */ { name }, /** @type {() => void} */ onLocate) {
@@ -220,13 +290,8 @@ function missing(/** @type {Api.MissingRecording} */ { name }, /** @type {() => 
   );
 }
 
-function link(
-  /** @type {string} */ name,
-  /** @type {string} */ mode,
-  /** @type {string} */ text,
-  /** @type {boolean} */ isPrimary = false,
-) {
-  return h("a", { class: `button${isPrimary ? " strong" : ""}`, href: makeHash(name, mode) }, text);
+function link(/** @type {string} */ name, /** @type {string} */ mode, /** @type {string} */ text) {
+  return h("a", { class: "button primary-link", href: makeHash(name, mode), "data-testid": `next-${name}` }, text);
 }
 
 function stateCounts(/** @type {Record<string, number>} */ labels) {

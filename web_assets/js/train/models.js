@@ -1,12 +1,12 @@
 /** The trained models: training data, quality, which one is in use, and validation pictures. */
 
-import { openDialog } from "../dialogs.js";
+import { confirm, openDialog } from "../dialogs.js";
 import { button, count, h, patch } from "../dom.js";
 
 const ROLES = { image: "Image", view: "View" };
 const HELD_OUT_HELP =
-  "Mean 3D IoU with the reviewed boxes on held-out frames: a fixed fifth of the frames that is never used for " +
-  "training and decides which view detector is used.";
+  "Mean IoU with the reviewed boxes on held-out frames: a fixed fifth of the frames that is never used for training " +
+  "and decides which detector is used.";
 const COLUMNS = [
   ["map50", "mAP50"],
   ["map50_95", "mAP50-95"],
@@ -26,24 +26,27 @@ export function createModelList(
   /** @type {number | null} */
   let shown = null;
 
-  async function use(/** @type {Api.ModelDetails} */ model) {
+  async function activate(/** @type {string | number} */ id, /** @type {string} */ name) {
     try {
-      await app.api.post(app.path("models", model.id, "activate"));
-      app.toast(`Model ${model.id} is in use now.`, "good");
+      await app.api.post(app.path("models", id, "activate"));
+      app.toast(`${name} is in use now.`, "good");
       await reload();
     } catch (error) {
       app.toast(error);
     }
   }
 
-  async function useBase() {
-    try {
-      await app.api.post(app.path("models", "base", "activate"));
-      app.toast("The base detector is in use now.", "good");
-      await reload();
-    } catch (error) {
-      app.toast(error);
-    }
+  /** Uses a detector; asks first if held-out frames have shown that it is worse than others, or finds nothing. */
+  async function use(/** @type {Api.ModelDetails} */ { id, decision }) {
+    const iou = decision?.mean_iou ?? null;
+    const better = decision?.compared.filter(({ mean_iou }) => iou !== null && mean_iou > iou) ?? [];
+    const others = better.map(({ name, mean_iou }) => `the ${name} ${mean_iou.toFixed(2)}`).join(", ");
+    const problem =
+      iou === 0
+        ? "It found none of the reviewed objects on held-out frames."
+        : others && `On held-out frames it reached a mean IoU of ${iou?.toFixed(2)}, and ${others}.`;
+    if (problem && !(await confirm(`Use model ${id} all the same?`, problem, "Use it"))) return;
+    await activate(id, `Model ${id}`);
   }
 
   function baseRow(/** @type {"in use" | "available"} */ state) {
@@ -62,7 +65,7 @@ export function createModelList(
         {},
         isUsed
           ? h("span", { class: "chip state-accepted" }, "in use")
-          : button("Use this one", useBase, { "data-testid": "use-base" }),
+          : button("Use this one", () => activate("base", "The base detector"), { "data-testid": "use-base" }),
       ),
       h("td", {}),
     );
@@ -116,7 +119,7 @@ export function createModelList(
       h(
         "p",
         { class: "muted" },
-        `Pictures that the ${model.role} detector was not trained on, with the boxes that it finds.`,
+        `What the ${model.role} detector was not trained on: white boxes are the given ones, coloured ones what it finds.`,
       ),
       h(
         "div",
@@ -168,12 +171,12 @@ export function createModelList(
           ),
           h("tbody", {}, newest.map(row), base ? baseRow(base) : null),
         ),
-        decisionLine(newest.find(({ decision }) => decision)),
+        ...Object.keys(ROLES).map((each) =>
+          decisionLine(newest.find(({ role, decision }) => role === each && decision)),
+        ),
       );
-      const active = newest.filter((model) => model.active && model.pictures.length > 0);
-      showPictures(
-        newest.find((model) => model.id === shown) ?? active.find(({ role }) => role === "view") ?? active[0],
-      );
+      const pictured = newest.filter((model) => model.pictures.length > 0);
+      showPictures(pictured.find(({ id }) => id === shown) ?? pictured.find(({ active }) => active) ?? pictured[0]);
     },
   };
 }
@@ -189,7 +192,11 @@ function decisionLine(/** @type {Api.ModelDetails | undefined} */ model) {
   const figures = decision.compared.map(({ name, mean_iou }) => `${name} ${mean_iou.toFixed(2)}`);
   if (decision.mean_iou !== null) figures.unshift(`newest detector ${decision.mean_iou.toFixed(2)}`);
   const measured = figures.length ? ` Mean IoU on held-out frames: ${figures.join(", ")}.` : "";
-  return h("p", { class: "muted", "data-testid": "decision" }, `Latest round: ${decision.outcome}.${measured}`);
+  return h(
+    "p",
+    { class: "muted", "data-testid": "decision" },
+    `Latest ${model.role} detector: ${decision.outcome}.${measured}`,
+  );
 }
 
 /** What a model was compared with, and the outcome. */

@@ -1,6 +1,6 @@
 /** Proposes boxes on the chosen recordings, or from 2D boxes on the images, then links to their review. */
 
-import { button, count, h } from "../dom.js";
+import { button, count, h, remembered } from "../dom.js";
 import { messageOf } from "../errors.js";
 import { createJobLine, isActive, latestJob, startJob } from "../jobs.js";
 import { makeHash } from "../router.js";
@@ -12,14 +12,17 @@ export function createPropose(/** @type {HTMLElement} */ host, /** @type {ModeAp
   const boxesLine = createJobLine(app, "boxes");
   const importButton = button("Import boxes …", () => void addBoxes(), { "data-testid": "import-boxes" });
   const choices = h("div", { class: "choices-list", role: "group", "aria-label": "Recordings" });
-  const limit = h("input", {
-    type: "number",
-    min: 1,
-    step: 1,
-    placeholder: "all",
-    "aria-label": "Maximum number of frames",
-    "data-testid": "propose-limit",
-  });
+  const limit = remembered(
+    `propose ${app.state.route.project} limit`,
+    h("input", {
+      type: "number",
+      min: 1,
+      step: 1,
+      placeholder: "all",
+      "aria-label": "Maximum number of frames",
+      "data-testid": "propose-limit",
+    }),
+  );
   const start = h("button", { type: "submit", class: "primary", "data-testid": "propose-start" }, "Propose");
   const note = h("p", { class: "help" });
   const problem = h("p", { class: "error-box", role: "alert", hidden: true });
@@ -124,7 +127,7 @@ export function createPropose(/** @type {HTMLElement} */ host, /** @type {ModeAp
     const ready = image !== null && (view !== null || stand_in !== null);
     start.disabled = !ready || project.recordings.length === 0 || Boolean(job && isActive(job));
     const kept = "Reviewed boxes and finalised frames are not changed.";
-    const missing = stand_in ? "Train an image detector first." : "Train both detectors first.";
+    const missing = `Train ${stand_in ? "an image detector" : "both detectors"} first, or choose one that was trained.`;
     note.textContent = [ready ? kept : missing, stand_in ? `View detector: ${stand_in}.` : ""].join(" ").trim();
     const waiting = project.labels_by_state.proposed ?? 0;
     review.hidden = waiting === 0;

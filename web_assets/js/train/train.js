@@ -1,6 +1,6 @@
 /** Train and propose: the training data, the running training, the models, and proposals. */
 
-import { count, h, patch } from "../dom.js";
+import { count, h, patch, remembered } from "../dom.js";
 import { messageOf } from "../errors.js";
 import { createJobLine, isActive, latestJob, startJob } from "../jobs.js";
 import { createCurves } from "./curves.js";
@@ -8,7 +8,7 @@ import { createModelList } from "./models.js";
 import { createPropose } from "./propose.js";
 
 /** The server's defaults, which empty fields show. */
-const PICTURES = { image: 2800, view: 48000 };
+const MINUTES = 3;
 const LEARN_EVERY = 20;
 const SIZES_PX = { image: 192, view: 64 };
 /** @type {[Api.DetectorKind, string, string][]} */
@@ -56,7 +56,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       if (ended) return;
       known = answer;
       // an answer from before a change is out of date
-      if (changes === learning.changes) learning.show(answer.learn_every);
+      if (changes === learning.changes) learning.show(answer);
       show();
     } catch (error) {
       app.toast(error);
@@ -110,6 +110,18 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   };
 }
 
+/** A field for minutes, everywhere with the same limits. */
+const minutesField = (/** @type {string} */ label, /** @type {string} */ testid) =>
+  h("input", {
+    type: "number",
+    min: 0.5,
+    max: 1440,
+    step: 0.5,
+    value: MINUTES,
+    "aria-label": label,
+    "data-testid": testid,
+  });
+
 /** The switch "Learn while I label". */
 function createLearning(/** @type {ModeApp} */ app) {
   const box = h("input", { type: "checkbox", "data-testid": "learn-switch" });
@@ -121,29 +133,33 @@ function createLearning(/** @type {ModeApp} */ app) {
     "aria-label": "Reviewed boxes between two rounds",
     "data-testid": "learn-every",
   });
-  /** @type {number | null | undefined} */
-  let stored;
+  const minutes = minutesField("Minutes of a round", "learn-minutes");
+  let stored = "";
   let changes = 0;
 
   async function store() {
     changes += 1;
-    const wanted = box.checked ? every.valueAsNumber || LEARN_EVERY : null;
+    const everyNow = box.checked ? every.valueAsNumber || LEARN_EVERY : null;
+    const minutesNow = minutes.valueAsNumber || MINUTES;
     try {
-      await app.api.put(app.path("models", "learning"), { every: wanted });
-      stored = wanted;
+      await app.api.put(app.path("models", "learning"), { every: everyNow, minutes: minutesNow });
+      show({ learn_every: everyNow, learn_minutes: minutesNow });
     } catch (error) {
       app.toast(error);
     }
-    fill();
   }
 
-  function fill() {
-    box.checked = typeof stored === "number";
-    if (typeof stored === "number") every.value = String(stored);
+  function show(/** @type {Pick<Api.ModelList, "learn_every" | "learn_minutes">} */ { learn_every, learn_minutes }) {
+    const now = `${learn_every} ${learn_minutes}`;
+    if (now === stored) return;
+    stored = now;
+    box.checked = learn_every !== null;
+    if (learn_every !== null) every.value = String(learn_every);
+    minutes.value = String(learn_minutes);
   }
 
-  box.addEventListener("change", store);
-  every.addEventListener("change", () => box.checked && store());
+  for (const field of [box, every, minutes])
+    field.addEventListener("change", () => (box.checked || field === box) && store());
   const root = h(
     "div",
     { class: "stack", "data-testid": "learning" },
@@ -151,13 +167,14 @@ function createLearning(/** @type {ModeApp} */ app) {
       "div",
       { class: "row" },
       h("label", { class: "row" }, box, "Learn while I label"),
-      h("label", { class: "row" }, "after every", every, "reviewed boxes"),
+      h("label", { class: "row" }, "after every", every, "reviewed boxes,"),
+      h("label", { class: "row" }, "for", minutes, "minutes"),
     ),
     h(
       "p",
       { class: "help" },
-      "Trains the view detector for three minutes in the background, while a page has this project open. It waits ",
-      "while you draw and stops for other jobs. A better detector is used at once.",
+      "Trains the view detector in the background, while a page has this project open. It waits while you draw and ",
+      "stops for other jobs. A detector that is better on held-out frames is used at once.",
     ),
   );
   return {
@@ -166,57 +183,43 @@ function createLearning(/** @type {ModeApp} */ app) {
     get changes() {
       return changes;
     },
-    show(/** @type {number | null} */ now) {
-      if (now === stored) return;
-      stored = now;
-      fill();
-    },
+    show,
   };
 }
 
 function createForm(/** @type {ModeApp} */ app) {
+  /** @template {HTMLInputElement | HTMLSelectElement} T */
+  const kept = (/** @type {string} */ key, /** @type {T} */ field) =>
+    remembered(`train ${app.state.route.project} ${key}`, field);
   const roles = ROLES.map(([role]) =>
-    h("input", { type: "checkbox", name: role, checked: true, "data-testid": `train-role-${role}` }),
-  );
-  const pictures = ROLES.map(([role, label]) =>
-    h("input", {
-      type: "number",
-      min: 16,
-      max: 1000000,
-      step: 1,
-      placeholder: String(PICTURES[role]),
-      "aria-label": `Pictures for the ${label.toLowerCase()}`,
-      "data-testid": `train-pictures-${role}`,
-    }),
+    kept(role, h("input", { type: "checkbox", name: role, checked: true, "data-testid": `train-role-${role}` })),
   );
   const sizes = ROLES.map(([role, label]) =>
-    h("input", {
-      type: "number",
-      min: 32,
-      max: 2048,
-      step: 32,
-      placeholder: String(SIZES_PX[role]),
-      "aria-label": `Size of the pictures for the ${label.toLowerCase()}`,
-      "data-testid": `train-size-${role}`,
-    }),
+    kept(
+      `size ${role}`,
+      h("input", {
+        type: "number",
+        min: 32,
+        max: 2048,
+        step: 32,
+        placeholder: String(SIZES_PX[role]),
+        "aria-label": `Size of the pictures for the ${label.toLowerCase()}`,
+        "data-testid": `train-size-${role}`,
+      }),
+    ),
   );
-  const minutes = h("input", {
-    type: "number",
-    min: 0.5,
-    max: 1440,
-    step: 0.5,
-    placeholder: "3",
-    "aria-label": "Minutes for the view detector",
-    "data-testid": "train-minutes",
-  });
-  const model = h(
-    "select",
-    { "data-testid": "train-model" },
-    [
-      ["", "yolo11n: small and fast (default)"],
-      ["yolo11s", "yolo11s: larger, slower"],
-      ["yolo11m", "yolo11m: for a GPU"],
-    ].map(([value, text]) => h("option", { value }, text)),
+  const minutes = kept("minutes", minutesField("Minutes of the training", "train-minutes"));
+  const model = kept(
+    "model",
+    h(
+      "select",
+      { "data-testid": "train-model" },
+      [
+        ["", "yolo11n: small and fast (default)"],
+        ["yolo11s", "yolo11s: larger, slower"],
+        ["yolo11m", "yolo11m: for a GPU"],
+      ].map(([value, text]) => h("option", { value }, text)),
+    ),
   );
   const start = h("button", { type: "submit", class: "primary", "data-testid": "train-start" }, "Train");
   const problem = h("p", { class: "error-box", role: "alert", hidden: true });
@@ -228,21 +231,13 @@ function createForm(/** @type {ModeApp} */ app) {
       "div",
       { class: "settings" },
       ROLES.map(([, label], i) =>
-        h("label", { class: "field" }, h("span", {}, `${label}: pictures shown`), pictures[i]),
-      ),
-      ROLES.map(([, label], i) =>
         h("label", { class: "field" }, h("span", {}, `${label}: longer side, px`), sizes[i]),
       ),
-      h("label", { class: "field" }, h("span", {}, "View detector: minutes"), minutes),
       h("label", { class: "field" }, h("span", {}, "Network"), model),
       h(
         "p",
         { class: "help" },
-        "Each picture is shown many times, with small random changes. More pictures take longer and train better; ",
-        "larger pictures show small objects better. An empty field uses the number shown in grey. ",
-        "A view detector that starts from another one trains for this many minutes. After the first three, it ",
-        "is used at once if it is better. Beyond three minutes, the image detector learns longer, too. ",
-        "A fifth of the frames is never used for training: it decides which one is used.",
+        "Larger pictures show small objects better, and take longer. An empty field uses the number shown in grey.",
       ),
     ),
   );
@@ -254,8 +249,16 @@ function createForm(/** @type {ModeApp} */ app) {
       "div",
       { class: "row" },
       ROLES.map(([, label], i) => h("label", { class: "row" }, roles[i], label)),
+      h("label", { class: "row" }, "for", minutes, "minutes"),
       h("span", { class: "grow" }),
       start,
+    ),
+    h(
+      "p",
+      { class: "help" },
+      "More minutes train better. They are those of the view detector; the image detector learns longer with them. A ",
+      "fifth of the frames is never trained on: a detector that is worse on these than the one in use, or finds nothing, ",
+      "is not used unless you choose it below.",
     ),
     more,
     problem,
@@ -271,8 +274,6 @@ function createForm(/** @type {ModeApp} */ app) {
       await startJob(app, {
         kind: "train",
         roles: chosen,
-        image_pictures: number(pictures[0]),
-        view_pictures: number(pictures[1]),
         minutes: number(minutes),
         image_size_px: number(sizes[0]),
         view_size_px: number(sizes[1]),
