@@ -129,7 +129,7 @@ def test_the_proxy_adds_a_content_security_policy_to_viser_s_page(live: Any) -> 
 def test_the_proxy_forwards_the_cloud_and_the_camera(live: Any, frame_id: int, wait_for: Callable) -> None:
     viewport = opened(live)
     show(live, viewport, frame=frame_id)
-    points = live.context.caches.frames.read(live.context.project("room"), frame_id).cloud.xyz_m.tobytes()
+    points = viewport_of(live, viewport)._server.scene.get_handle_by_name("/cloud").points.tobytes()
     with browser(live, viewport) as socket:
         assert socket.subprotocol == PROTOCOL
         assert any(points in message for message in iter(lambda: socket.recv(timeout=PATIENCE_S), None))

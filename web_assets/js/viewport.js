@@ -8,16 +8,18 @@
 
 import { h } from "./dom.js";
 import { ApiError } from "./errors.js";
+import { createPace } from "./pace.js";
 
 /** @typedef {{ project: string, scene: Scene3D }} Wanted */
 
 const FOLLOW_MS = 200;
 const RETRY_MS = 1500;
 const ASK_MS = 800;
-// Number of points without a graphics card: the CPU takes about 5 us per point. Fewer points are drawn larger.
-const SOFTWARE_POINTS = 10000;
-// Resolution without a graphics card, relative to the screen's along each side (a setting of viser's page).
-const SOFTWARE_PIXELS = 0.65;
+/**
+ * What is sent and drawn without a graphics card: at most this number of points, at rest, and while the camera moves this
+ * number until frames are measured; and the resolution, relative to the screen's (a setting of viser's page).
+ */
+const SOFTWARE = { points: 150_000, moving: 60_000, pixels: 0.8 };
 const NO_WEBGL =
   "This browser cannot draw in 3D (no WebGL 2). The image and the views work without it. " +
   "For the 3D view, turn on hardware acceleration or use another browser.";
@@ -69,6 +71,7 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   window.addEventListener("scroll", follow, { capture: true, passive: true });
   window.addEventListener("pagehide", leave);
   const graphics = lookAtGraphics();
+  const pace = createPace(graphics === "software" ? SOFTWARE.moving : Infinity);
   if (graphics === "none") say("unsupported", NO_WEBGL);
 
   /**
@@ -151,7 +154,7 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
       start(bench.url);
       return;
     }
-    const detail = graphics === "software" ? { most_points: SOFTWARE_POINTS } : {};
+    const detail = graphics === "software" ? { most_points: SOFTWARE.points } : {};
     /** @type {Api.SceneAnswer} */
     const answer = await app.api.put(`/api/workbench/${bench.id}/scene`, { ...detail, ...scene });
     // the view is reset once, not each time that the scene is shown again
@@ -160,6 +163,7 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     connected(answer.connected);
     // the event may be missed while the page's own socket is being opened
     if (!answer.connected) retry = setTimeout(showAgain, ASK_MS);
+    pace.moved(performance.now());
     emit("shown", answer);
   }
 
@@ -192,25 +196,47 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     const fresh = h("iframe", { title: "3D view", "data-testid": "viewport-frame", tabindex: "-1" });
     Object.assign(fresh.style, { position: "absolute", inset: "0", width: "100%", height: "100%", border: "0" });
     fresh.addEventListener("load", () => prepare(fresh));
-    fresh.src = graphics === "software" ? `${url}?fixedDpr=${SOFTWARE_PIXELS}` : url;
+    fresh.src = graphics === "software" ? `${url}?fixedDpr=${SOFTWARE.pixels}` : url;
     frame = fresh;
     layer.append(fresh);
     follow();
   }
 
   function prepare(/** @type {HTMLIFrameElement} */ loaded) {
-    const view = loaded.contentWindow;
     // without a server, the browser shows a page of its own, which is out of reach
-    if (view === null || loaded.contentDocument === null || view.location.href === "about:blank") return;
+    const view = loaded.contentDocument?.defaultView;
+    if (!view || view.location.href === "about:blank") return;
     const style = view.document.createElement("style");
     style.textContent = STYLE;
     view.document.head.append(style);
+    paceDrawing(view);
     app.keys.listen(view);
     app.effort.watch(view);
     // registered after the key table's listener; keeps all keys from viser
     view.addEventListener("keydown", keep, { capture: true });
     view.addEventListener("keyup", keep, { capture: true });
     view.addEventListener("keypress", keep, { capture: true });
+  }
+
+  /** Draws no more points than the pace allows. Without a graphics card, antialiasing would double a frame's time. */
+  function paceDrawing(/** @type {Window & typeof globalThis} */ view) {
+    const [gl, canvas] = [view.WebGL2RenderingContext.prototype, view.HTMLCanvasElement.prototype];
+    const { drawArrays } = gl;
+    gl.drawArrays = function (mode, first, count) {
+      const shown = mode === this.POINTS ? pace.draw(count, performance.now()) : count;
+      drawArrays.call(this, mode, first, shown);
+    };
+    const moved = () => pace.moved(performance.now());
+    view.addEventListener("pointermove", ({ buttons }) => buttons > 0 && moved(), { capture: true });
+    view.addEventListener("wheel", moved, { capture: true, passive: true });
+    if (graphics !== "software") return;
+    const getContext = /** @type {(kind: string, settings?: object) => RenderingContext | null} */ (canvas.getContext);
+    Object.assign(canvas, {
+      /** @this {HTMLCanvasElement} */
+      getContext(/** @type {string} */ kind, /** @type {object} */ settings) {
+        return getContext.call(this, kind, { ...settings, antialias: false });
+      },
+    });
   }
 
   function keep(/** @type {KeyboardEvent} */ event) {

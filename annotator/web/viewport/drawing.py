@@ -6,17 +6,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import lru_cache
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32, Float64, UInt8
+from jaxtyping import Float, Float32, Float64, Int64, UInt8
 
 from annotator.geometry.oriented_box import CORNER_SIGNS, EDGES
 from annotator.geometry.projection import in_frustum, thin, undistort_px
 from annotator.types import Box2D, Frame, OrientedBox, PointCloud, PseudoView, ReviewState
 
-# Default limit of shown points, which graphics cards and networks handle without delay.
-MOST_POINTS = 150_000
+# Limit of shown points: all of a frame's, which graphics cards draw without delay. Browsers without one ask for fewer.
+MOST_POINTS = 1_000_000
 
 
 class Gizmo(StrEnum):
@@ -82,11 +83,9 @@ class SceneContent:
 
 # Depth and height colours cover the range between these percentiles, so that outliers do not compress them.
 LOW_PERCENT, HIGH_PERCENT = 2.0, 98.0
-# Point size as a share of the cloud's median distance: about the spacing of a thinned RGB-D cloud.
-POINT_SHARE = 0.0035
-# If there are fewer points than FULL_DETAIL, they are drawn larger, up to a factor. The factor is higher for a thinned
-# cloud, whose surfaces are dense.
-FULL_DETAIL, LARGEST_GROWTH, LARGEST_GROWTH_THINNED = 150_000, 2.0, 3.5
+# Point size as a share of the cloud's median distance: small for the lines of a LiDAR, which no size would close. For a
+# depth camera, as multiples of the distance between the points on a surface that it sees from the front.
+LIDAR_SHARE, DEPTH_SPACINGS = 0.0015, 1.5
 # Number of points for estimates of a scene's distance.
 SAMPLE = 5_000
 # Position of the initial camera behind and above the recording's camera, as shares of the scene's distance.
@@ -97,16 +96,21 @@ EMPTY_DISTANCE_M = 3.0
 CAMERA_UP = np.array([0.0, -1.0, 0.0])
 
 
-def shown_points(frame: Frame, most: int) -> PointCloud:
-    """The shown part of a frame's cloud, at most `most` points, with colours and reflectance."""
-    cloud = frame.cloud
-    keep = thin(len(cloud), most)
-    if keep is None:
-        return cloud
+def shown_points(cloud: PointCloud, most: int) -> PointCloud:
+    """At most `most` points of a cloud, with colours and reflectance, in random order: any number of the first ones is
+    the cloud thinned evenly, which a slow browser draws while the camera moves.
+    """
+    order = _order(len(cloud), most)
     rgb, reflectance = (
-        None if values is None else values.take(keep, axis=0) for values in (cloud.rgb, cloud.reflectance)
+        None if values is None else values.take(order, axis=0) for values in (cloud.rgb, cloud.reflectance)
     )
-    return PointCloud(cloud.xyz_m.take(keep, axis=0), rgb, reflectance)
+    return PointCloud(cloud.xyz_m.take(order, axis=0), rgb, reflectance)
+
+
+@lru_cache(maxsize=4)
+def _order(n_points: int, most: int) -> Int64[np.ndarray, "m"]:
+    keep = thin(n_points, most)
+    return np.random.default_rng(0).permutation(n_points if keep is None else keep)
 
 
 def point_colors(cloud: PointCloud, color: PointColor, up: Float64[np.ndarray, "3"]) -> UInt8[np.ndarray, "n 3"]:
@@ -135,16 +139,17 @@ def typical_distance_m(cloud: PointCloud) -> float:
     return max(float(np.median(np.linalg.norm(some, axis=1))), 0.05)
 
 
-def point_size_m(shown: PointCloud, n_points: int) -> float:
+def point_size_m(frame: Frame, n_shown: int) -> float:
     """The default point size, metres.
 
     Args:
-        shown: the shown points; the fewer, the larger each is, so that surfaces stay closed.
-        n_points: of the whole cloud.
+        n_shown: number of shown points of a depth camera's cloud; the fewer, the larger each is, so that surfaces stay
+            closed.
     """
-    ratio = max(FULL_DETAIL / max(len(shown), 1), 1.0)
-    largest = LARGEST_GROWTH if n_points == len(shown) else LARGEST_GROWTH_THINNED
-    return POINT_SHARE * typical_distance_m(shown) * min(math.sqrt(ratio), largest)
+    distance_m, n_points = typical_distance_m(frame.cloud), len(frame.cloud)
+    if frame.depth_m is None:
+        return LIDAR_SHARE * distance_m
+    return DEPTH_SPACINGS * distance_m / frame.camera.fx * math.sqrt(n_points / max(n_shown, 1))
 
 
 def scene_up(frame: Frame) -> Float64[np.ndarray, "3"]:

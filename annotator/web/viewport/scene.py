@@ -111,8 +111,8 @@ class Scene:
             return 0, 0
         if frame is not before.frame or content.most_points != before.most_points:
             # sent as one message, since the browser creates new buffers for it anyway
-            points = self._points = shown_points(frame, content.most_points)
-            self._point_size_m = point_size_m(points, len(frame.cloud))
+            points = self._points = shown_points(frame.cloud, content.most_points)
+            self._point_size_m = point_size_m(frame, len(points))
             self._api.add_point_cloud(
                 CLOUD,
                 points.xyz_m,
