@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from viser import TransformControlsEvent
 
-from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.ground import Ground, find_ground
+from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import project
 from annotator.rcv.config import RcvConfig
@@ -23,21 +24,22 @@ from annotator.rcv.known_objects import first_views
 from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, Camera, Frame, OrientedBox, PointCloud, ReviewState
 from annotator.web.viewport.drawing import (
+    UNLABELLED_COLOR,
     Draft,
     Gizmo,
     PointColor,
     SceneContent,
     ShownBox,
-    arrow_lines,
     box_lines,
     frustum_lines,
-    initial_camera,
     pick,
     placed_box_lines,
     point_colors,
+    scene_up,
     shown_points,
     view_placement,
 )
+from annotator.web.viewport.guides import arrow_lines
 from annotator.web.viewport.viewports import Viewport
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.workbench.drawing_steps import label_steps
@@ -313,6 +315,10 @@ def test_a_view_is_placed_in_front_of_its_points_with_each_pixel_in_place(
 UP = np.array([0.0, -1.0, 0.0])
 
 
+def ground_of(cloud: PointCloud) -> Ground:
+    return find_ground(cloud.xyz_m, UP)
+
+
 def frame_of(xyz: np.ndarray, rgb: np.ndarray | None = None, reflectance: np.ndarray | None = None) -> Frame:
     camera = Camera(8, 6, 10.0, 10.0, 3.5, 2.5)
     cloud = PointCloud(xyz.astype(np.float32), rgb, reflectance)
@@ -326,7 +332,7 @@ def test_a_thinned_point_keeps_its_own_colour_and_the_first_points_are_everywher
     shown = shown_points(frame_of(xyz, rgb).cloud, 100)
     assert len(shown) == 100
     assert 250 < shown.xyz_m[:50, 0].mean() < 750  # a browser may draw only these
-    colors = point_colors(shown, PointColor.RGB, UP).astype(int)
+    colors = point_colors(shown, PointColor.RGB, ground_of(shown)).astype(int)
     np.testing.assert_array_equal(colors[:, 0] + 256 * colors[:, 1], shown.xyz_m[:, 0].astype(int))
 
 
@@ -337,27 +343,54 @@ def test_every_cloud_has_every_kind_of_colour(what: str) -> None:
     reflectance = rng.random(n).astype(np.float32) if what == "reflectance" else None
     cloud = frame_of(rng.normal(0, 1, (n, 3)) + np.array([0, 0, 5]), rgb, reflectance).cloud
     for color in PointColor:
-        colors = point_colors(cloud, color, UP)
+        colors = point_colors(cloud, color, ground_of(cloud))
         assert (colors.shape, colors.dtype) == ((n, 3), np.uint8)
 
 
-def test_height_colours_depend_only_on_the_height() -> None:
-    height = np.linspace(0, 2, 100)
-    low_to_high = frame_of(np.column_stack([np.zeros(100), -height, np.full(100, 4)])).cloud
-    colors = point_colors(low_to_high, PointColor.HEIGHT, UP).astype(int)
-    assert colors[0, 2] > colors[0, 0]  # low: blue
-    assert colors[-1, 0] > colors[-1, 2]  # high: red
-    moved = frame_of(low_to_high.xyz_m + np.array([3.0, 0, 5.0])).cloud
-    np.testing.assert_array_equal(point_colors(moved, PointColor.HEIGHT, UP), colors)
+def test_height_colours_show_the_height_above_the_ground() -> None:
+    height = np.tile(np.linspace(0, 2, 100), 20)
+    ahead = np.repeat(np.linspace(2, 12, 20), 100)
+    slope = frame_of(np.column_stack([np.zeros(2000), 0.05 * ahead - height, ahead])).cloud
+    colors = point_colors(slope, PointColor.HEIGHT, ground_of(slope)).reshape(20, 100, 3).astype(int)
+    assert (colors[:, 0, 2] > colors[:, 0, 0]).all()  # low: blue
+    assert (colors[:, -1, 0] > colors[:, -1, 2]).all()  # high: red
 
 
-def test_the_initial_camera_is_behind_the_camera_and_looks_along_its_axis(generated: Path) -> None:
-    recording = open_recording(generated / "people")
-    frame = recording.frame(0)
-    position, look_at = initial_camera(frame)
-    assert frame.up is not None and position[2] < 0 < position @ frame.up, "behind and above it"
-    np.testing.assert_array_equal(look_at[:2], 0)
-    assert np.percentile(frame.cloud.xyz_m[:, 2], 20) < look_at[2] < np.percentile(frame.cloud.xyz_m[:, 2], 80)
+def test_points_are_left_out_by_height_and_by_the_selected_box_and_those_in_no_box_stand_out(
+    viewport: Viewport, frames: list[Frame], boxes: tuple[ShownBox, ...]
+) -> None:
+    content = SceneContent(("room", 1), frames[0], boxes, "box1")
+    total, _ = viewport.show(content)
+    ground = find_ground(frames[0].cloud.xyz_m, scene_up(frames[0]))
+    above_m = ground.above_m(frames[0].cloud.xyz_m)
+    standing = viewport.show(replace(content, hide_ground=True))[0]
+    assert standing == np.count_nonzero(above_m > ground.thickness_m) < 0.9 * total
+    assert viewport.show(replace(content, most_height_m=1.0))[0] == np.count_nonzero(above_m < 1.0)
+    near = viewport.show(replace(content, only_selected=True))[0]
+    assert np.count_nonzero(contains(boxes[1].box, frames[0].cloud.xyz_m)) < near < 0.5 * total
+    assert node(viewport, "/boxes") is None, "other boxes are left out, too"
+    assert viewport.show(replace(content, most_height_m=0.0, hide_ground=True))[0] == 0
+    assert node(viewport, "/cloud") is None
+    viewport.show(replace(content, color=PointColor.UNLABELLED))
+    cloud = node(viewport, "/cloud")
+    stands = ground.above_m(cloud.points) >= ground.thickness_m
+    in_a_box = np.any([contains(shown.box, cloud.points) for shown in boxes], axis=0)
+    bright = (cloud.colors == UNLABELLED_COLOR).all(axis=1)
+    np.testing.assert_array_equal(bright, stands & ~in_a_box)
+    sent(viewport)
+    viewport.show(replace(content, color=PointColor.UNLABELLED, boxes=boxes[1:]))
+    assert "SceneNodeUpdateMessage /cloud colors" in sent(viewport), "a box was removed"
+    assert np.count_nonzero((cloud.colors == UNLABELLED_COLOR).all(axis=1)) > bright.sum()
+
+
+def test_a_box_may_have_another_colour_than_that_of_its_state(
+    viewport: Viewport, frames: list[Frame], boxes: tuple[ShownBox, ...]
+) -> None:
+    violet = replace(boxes[0], color=(255, 0, 255))
+    viewport.show(SceneContent(("room", 1), frames[0], (violet, *boxes[1:])))
+    colors = node(viewport, "/boxes").colors.reshape(len(boxes), -1, 3)
+    assert colors[0, 0].tolist() == [255, 0, 255]
+    assert colors[1, 0].tolist() != [255, 0, 255]
 
 
 unit = st.floats(-1, 1)

@@ -77,8 +77,11 @@ def test_a_preview_replaces_the_box_of_its_label(live: Any, frame_id: int) -> No
     moved = {"center": [0.5, 0, 3], "size": [1, 1, 1], "rotation": np.eye(3).tolist()}
     show(live, viewport, frame=frame_id, selected=uid, previews=[{"uid": uid, "box": moved}], gizmo="rotate")
     assert [shown.uid for shown in scene.content.boxes] == [uid]
-    np.testing.assert_allclose(scene.selected.box.center_m, [0.5, 0, 3])
-    assert scene.selected.state is ReviewState.ACCEPTED
+    np.testing.assert_allclose(scene.content.selected_box.box.center_m, [0.5, 0, 3])
+    assert scene.content.selected_box.state is ReviewState.ACCEPTED
+    show(live, viewport, frame=frame_id, colors={uid: "#00ff80", "gone": "#ffffff"})
+    assert [shown.color for shown in scene.content.boxes] == [(0, 255, 128)]
+    assert show(live, viewport, frame=frame_id, colors={uid: "red"}).status_code == 422
     # all unstored boxes are shown, the selected one as changed by its preview
     added = [{"uid": f"new-{n}", "box": {**moved, "center": [n, 0, 3]}} for n in (1, 2)]
     show(live, viewport, frame=frame_id, selected="new-2", previews=added)

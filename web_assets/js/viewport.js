@@ -9,12 +9,15 @@
 import { h } from "./dom.js";
 import { ApiError } from "./errors.js";
 import { createPace } from "./pace.js";
+import { createViewportBar } from "./viewport_bar.js";
 
 /** @typedef {{ project: string, scene: Scene3D }} Wanted */
 
 const FOLLOW_MS = 200;
 const RETRY_MS = 1500;
 const ASK_MS = 800;
+// A box that is selected by a double click comes this much later than the click, at most.
+const DOUBLE_MS = 1000;
 /**
  * What is sent and drawn without a graphics card: at most this number of points, at rest, and while the camera moves this
  * number until frames are measured; and the resolution, relative to the screen's (a setting of viser's page).
@@ -32,8 +35,10 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   /** @type {Map<string, Set<(value: never) => unknown>>} */
   const listeners = new Map();
   const note = h("p", { class: "viewport-note", role: "status", "data-testid": "viewport-note" });
-  const element = h("div", { class: "viewport-place", "data-testid": "viewport" }, note);
-  const layer = h("div", { class: "viewport-layer", hidden: true });
+  const stage = h("div", { class: "viewport-stage", "data-testid": "viewport" }, note);
+  const bar = createViewportBar({ change: () => look(null), look });
+  const element = h("div", { class: "viewport" }, bar.root, stage);
+  const layer = h("div", { class: "viewport-layer", hidden: true }, bar.looks);
   const place = { text: "" };
   /** @type {HTMLIFrameElement | null} */
   let frame = null;
@@ -56,15 +61,14 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   /** @type {ViewportState} */
   let state = "opening";
   let retry = 0;
+  let doubleClickedAt = -Infinity;
 
-  Object.assign(element.style, { position: "absolute", inset: "0", display: "grid", placeItems: "center" });
-  Object.assign(note.style, { maxWidth: "36em", padding: "0 2em", textAlign: "center", color: "#c3c9d4" });
-  Object.assign(layer.style, { position: "fixed", zIndex: "1", overflow: "hidden", background: "#141414" });
   document.body.append(layer);
 
   const observer = new ResizeObserver(follow);
-  observer.observe(element);
+  observer.observe(stage);
   setInterval(follow, FOLLOW_MS);
+  app.keys.register(bar.keys);
   app.events.on("viewport", receive);
   app.events.on("reconnected", showAgain);
   window.addEventListener("resize", follow);
@@ -88,14 +92,15 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     const changed = state !== next;
     state = next;
     note.textContent = text;
-    element.dataset.state = next;
+    stage.dataset.state = next;
+    bar.root.hidden = next === "unsupported";
     follow();
     if (changed) emit("state", next);
   }
 
   /** Puts the iframe over its place. Hides it while the place is not on the page, or there is no picture. */
   function follow() {
-    const rect = element.isConnected ? element.getBoundingClientRect() : null;
+    const rect = element.isConnected ? stage.getBoundingClientRect() : null;
     const ready = state === "ready";
     const seen = rect !== null && rect.width > 1 && rect.height > 1 && frame !== null && !isHeld;
     const text = seen ? `${rect.left},${rect.top},${rect.width},${rect.height},${ready}` : "";
@@ -114,8 +119,16 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   function show(/** @type {Scene3D} */ scene) {
     const { project } = app.state.route;
     if (state === "unsupported" || project === null) return;
-    wanted = { project, scene };
+    // the first click of a double click selects a box, and the page hears of it after the second one
+    const isDouble = performance.now() - doubleClickedAt < DOUBLE_MS && scene.selected !== last?.scene.selected;
+    wanted = { project, scene: isDouble ? { look: "focus", ...scene } : scene };
     void work();
+  }
+
+  /** Shows the scene with the present settings, and moves the viewer. */
+  function look(/** @type {Api.Look | null} */ from) {
+    const scene = (wanted ?? last)?.scene;
+    if (scene) show({ ...scene, look: from ?? scene.look });
   }
 
   /** Sends the wanted scene, one request at a time: a newer scene waits for the answer to an older one. */
@@ -155,16 +168,23 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
       return;
     }
     const detail = graphics === "software" ? { most_points: SOFTWARE.points } : {};
+    const { frame: open, project: info } = app.state;
+    const colors = open && info && open.frame.id === scene.frame ? bar.boxColors(info, open.labels) : {};
     /** @type {Api.SceneAnswer} */
-    const answer = await app.api.put(`/api/workbench/${bench.id}/scene`, { ...detail, ...scene });
-    // the view is reset once, not each time that the scene is shown again
-    last = { project, scene: { ...scene, reset_view: false } };
+    const answer = await app.api.put(`/api/workbench/${bench.id}/scene`, {
+      ...detail,
+      ...bar.settings,
+      colors,
+      ...scene,
+    });
+    // the viewer is moved once, not each time that the scene is shown again
+    last = { project, scene: { ...scene, look: null } };
     if (wanted === newest) wanted = null;
     connected(answer.connected);
     // the event may be missed while the page's own socket is being opened
     if (!answer.connected) retry = setTimeout(showAgain, ASK_MS);
     pace.moved(performance.now());
-    emit("shown", answer);
+    bar.show(answer, Boolean(scene.selected));
   }
 
   function again() {
@@ -194,11 +214,10 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   function start(/** @type {string} */ url) {
     frame?.remove();
     const fresh = h("iframe", { title: "3D view", "data-testid": "viewport-frame", tabindex: "-1" });
-    Object.assign(fresh.style, { position: "absolute", inset: "0", width: "100%", height: "100%", border: "0" });
     fresh.addEventListener("load", () => prepare(fresh));
     fresh.src = graphics === "software" ? `${url}?fixedDpr=${SOFTWARE.pixels}` : url;
     frame = fresh;
-    layer.append(fresh);
+    layer.prepend(fresh);
     follow();
   }
 
@@ -229,6 +248,10 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     const moved = () => pace.moved(performance.now());
     view.addEventListener("pointermove", ({ buttons }) => buttons > 0 && moved(), { capture: true });
     view.addEventListener("wheel", moved, { capture: true, passive: true });
+    view.addEventListener("dblclick", () => {
+      doubleClickedAt = performance.now();
+      look("focus");
+    });
     if (graphics !== "software") return;
     const getContext = /** @type {(kind: string, settings?: object) => RenderingContext | null} */ (canvas.getContext);
     Object.assign(canvas, {

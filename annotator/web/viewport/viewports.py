@@ -6,7 +6,7 @@ import logging
 import secrets
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,6 +24,7 @@ from annotator.web.background import Periodic
 from annotator.web.context import Ctx, Operator
 from annotator.web.schemas import MOST_BOXES, Axes, Box2DJson, Box3DJson, ClassName, RowId, Schema, Uid
 from annotator.web.viewport.drawing import MOST_POINTS, Draft, Gizmo, PointColor, SceneContent, ShownBox, pick
+from annotator.web.viewport.guides import Look
 from annotator.web.viewport.scene import Scene
 from annotator.web.viewport.viser_page import ViserPage, forward_http, forward_socket
 from annotator.workflows.workbench.drawing_steps import label_object
@@ -86,7 +87,7 @@ class Viewport(ViserPage):
         # a coroutine: viser runs coroutines in order on its event loop, but plain functions in a pool in any order
         with _logged("a move of the gizmo"):
             self._dragged_s = None if event.phase == "end" else time.monotonic()
-            box, selected = self._scene.gizmo_box(), self._scene.selected
+            box, selected = self._scene.gizmo_box(), self._scene.content.selected_box
             if event.phase != "start" and box is not None and selected is not None:
                 self.send("box", uid=selected.uid, box=Box3DJson.of(box).model_dump(), final=event.phase == "end")
 
@@ -190,6 +191,7 @@ async def _viewports(connection: HTTPConnection) -> Viewports:
 
 
 OpenViewports = Annotated[Viewports, Depends(_viewports)]
+Colour = Annotated[str, Field(pattern="^#[0-9a-f]{6}$")]
 ViewportId = Annotated[str, Field(pattern="^[0-9a-f]{16}$")]
 
 
@@ -227,7 +229,8 @@ class SceneRequest(Schema):
     """The content of a viewport. Omitted fields take their defaults, so each request is complete.
 
     `previews` are unstored boxes. `point_size` is a factor of the default size, which depends on the cloud's distance.
-    `reset_view` resets the viewport's camera.
+    `colors` are those of boxes, #rrggbb by uid; others have that of their state. `hide_ground` and `most_height` (above
+    the ground, metres) leave out points, `only_selected` also other boxes. `look` moves the viewer.
     """
 
     frame: RowId | None
@@ -238,7 +241,11 @@ class SceneRequest(Schema):
     point_size: Annotated[float, Field(ge=0.05, le=20, allow_inf_nan=False)] = 1.0
     color: PointColor = PointColor.RGB
     most_points: Annotated[int, Field(ge=1000, le=MOST_POINTS)] = MOST_POINTS
-    reset_view: bool = False
+    colors: Annotated[dict[Uid, Colour], Field(default_factory=dict, max_length=MOST_BOXES)]
+    hide_ground: bool = False
+    most_height: Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)] | None = None
+    only_selected: bool = False
+    look: Look | None = None
 
 
 class SceneAnswer(Schema):
@@ -302,24 +309,34 @@ def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> S
     return SceneContent(
         key=(project.path.name, page.frame.recording_id),
         frame=opened.frame,
-        boxes=_boxes(labels, body.previews),
+        boxes=_boxes(labels, body.previews, body.colors),
         selected=body.selected,
         gizmo=body.gizmo,
         draft=None if body.draft is None else _draft(project, opened, body.draft),
         color=body.color,
         most_points=body.most_points,
         point_size=body.point_size,
-        reset_camera=body.reset_view,
+        hide_ground=body.hide_ground,
+        most_height_m=body.most_height,
+        only_selected=body.only_selected,
+        look=body.look,
     )
 
 
-def _boxes(labels: Sequence[Label], previews: Sequence[PreviewJson]) -> tuple[ShownBox, ...]:
+def _boxes(labels: Sequence[Label], previews: Sequence[PreviewJson], colors: Mapping[str, str]) -> tuple[ShownBox, ...]:
     """The stored boxes and the previews, which replace the boxes with their uids."""
-    shown = {label.uid: ShownBox(label.uid, label.box, label.state) for label in labels}
+    shown = {label.uid: (label.box, label.state) for label in labels}
     for preview in previews:
-        state = shown[preview.uid].state if preview.uid in shown else ReviewState.PROPOSED
-        shown[preview.uid] = ShownBox(preview.uid, preview.box.box(), state)
-    return tuple(shown.values())
+        _, state = shown.get(preview.uid, (None, ReviewState.PROPOSED))
+        shown[preview.uid] = preview.box.box(), state
+    return tuple(ShownBox(uid, box, state, _rgb(colors.get(uid))) for uid, (box, state) in shown.items())
+
+
+def _rgb(color: str | None) -> tuple[int, int, int] | None:
+    if color is None:
+        return None
+    red, green, blue = bytes.fromhex(color[1:])
+    return red, green, blue
 
 
 def _draft(project: Project, opened: OpenFrame, body: DraftJson) -> Draft:

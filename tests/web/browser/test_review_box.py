@@ -282,7 +282,9 @@ def test_a_new_box_is_drawn_on_the_image(
 
 
 STARTS_S = 60.0
+# Of the view, the bar above it, and the buttons at its lower edge.
 LEFT, TOP, WIDTH, HEIGHT = 200, 100, 700, 520
+BAR, BUTTONS = 28, 34
 
 # Loads the page's modules without a mode; `told` and `pressed` record the events of `view` and the keys.
 PAGE = """async ([project, left, top, width, height]) => {
@@ -304,7 +306,7 @@ PAGE = """async ([project, left, top, width, height]) => {
   host.append(view.element);
   document.body.append(host);
   window.host = host;
-  window.told = { box: [], select: [], shown: [], state: [] };
+  window.told = { box: [], select: [], state: [] };
   for (const event of Object.keys(told)) view.on(event, (value) => told[event].push(value));
 }"""
 
@@ -312,7 +314,7 @@ PAGE = """async ([project, left, top, width, height]) => {
 def begin(page: Page, room: Project) -> None:
     """Opens the page's modules without a mode."""
     page.goto("/")
-    page.evaluate(PAGE, [room.path.name, LEFT, TOP, WIDTH, HEIGHT])
+    page.evaluate(PAGE, [room.path.name, LEFT, TOP - BAR, WIDTH, HEIGHT + BAR])
 
 
 def show(page: Page, **scene: Any) -> None:
@@ -320,8 +322,8 @@ def show(page: Page, **scene: Any) -> None:
 
 
 def picture(page: Page) -> np.ndarray:
-    """The screenshot of the view, as int RGB."""
-    clip = {"x": LEFT, "y": TOP, "width": WIDTH, "height": HEIGHT}
+    """The screenshot of the view without its buttons, as int RGB."""
+    clip = {"x": LEFT, "y": TOP, "width": WIDTH, "height": HEIGHT - BUTTONS}
     return np.asarray(Image.open(io.BytesIO(page.screenshot(clip=clip))).convert("RGB")).astype(int)
 
 
@@ -354,7 +356,7 @@ def test_the_view_draws_a_cloud_forwards_keys_selects_and_outlives_its_server(
     labels = list(room.labels.of_frame(room.frames.of()[0].id))
     begin(view, room)
     # a held view starts when it is let go
-    view.evaluate("() => { view.show({ frame: 1, reset_view: true }); window.release = view.hold(); }")
+    view.evaluate("() => { view.show({ frame: 1, look: 'start' }); window.release = view.hold(); }")
     until(view, "view.id !== null", STARTS_S)
     assert frames.count() == 0
     view.evaluate("release()")

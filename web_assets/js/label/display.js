@@ -86,7 +86,7 @@ export function createDisplay(app, work, parts) {
    * Updates the 3D view once the pseudo-views are there; otherwise the server would draw these twice at the same time.
    */
   function showScene(/** @type {FrameState} */ state) {
-    const { draft, point_size } = work;
+    const { draft } = work;
     if (draft && (draft.isLoading || work.coming)) return;
     /** @type {Scene3D} */
     const scene = {
@@ -94,7 +94,6 @@ export function createDisplay(app, work, parts) {
       selected: draft?.item.uid ?? null,
       gizmo: "off",
       draft: sceneDraft(),
-      point_size,
     };
     const key = JSON.stringify([scene, state.frame.revision]);
     if (key !== sceneShown) app.viewport.show(scene);

@@ -32,7 +32,6 @@ import { createViewsPane } from "./views_pane.js";
 import { createSuggester, createWholeBoxes } from "./suggestions.js";
 import { createWork, keepKind, renameClasses } from "./work.js";
 
-const POINT_LIMITS = [0.1, 10];
 const DRAG_WAIT_MS = 300;
 
 /** @returns {Mounted} */
@@ -170,8 +169,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       "accept-suggestion": acceptNext,
       "box-kind": () => setKind(work.kind === "box" ? "silhouette" : "box"),
       "next-whole-box": () => whole.next(),
-      "points-larger": () => zoomPoints(1.25),
-      "points-smaller": () => zoomPoints(0.8),
       fit() {
         for (const editor of editors) editor.fit();
       },
@@ -240,11 +237,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     objects.close();
     show();
     return true;
-  }
-
-  function zoomPoints(/** @type {number} */ factor) {
-    work.point_size = Math.min(Math.max(work.point_size * factor, POINT_LIMITS[0]), POINT_LIMITS[1]);
-    show();
   }
 
   void frames.openRoute(app.state.route);

@@ -18,7 +18,6 @@ export function createWork(/** @type {ModeApp} */ app) {
     frameShown: null,
     loaded: Promise.resolve(),
     coming: null,
-    point_size: 1,
     /** The class that was picked; the first one if that was removed. */
     get label() {
       const { classes } = app.state.project;

@@ -204,7 +204,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       queue.reloadSoon();
       desk.refresh().catch(app.toast);
     }),
-    app.keys.register(bindings({ commands, opening, tracks, sheet, scene, image, ortho, setGizmo, attributes })),
+    app.keys.register(bindings({ commands, opening, tracks, sheet, image, ortho, setGizmo, attributes })),
   ];
 
   /** Selects the label that an undo or redo has changed. */
@@ -308,13 +308,12 @@ export function emptyProject() {
  * @param {Opening} parts.opening
  * @param {ReturnType<typeof import("./tracks.js").createTracks>} parts.tracks
  * @param {ReturnType<typeof import("./sheet.js").createSheet>} parts.sheet
- * @param {ReturnType<typeof import("./scene.js").createScene>} parts.scene
  * @param {ReturnType<typeof import("./image_panel.js").createImagePanel>} parts.image
  * @param {ReturnType<typeof import("./ortho_views.js").createOrthoViews>} parts.ortho
  * @param {(mode: Api.Gizmo) => void} parts.setGizmo
  * @param {ReturnType<typeof import("../attributes.js").createAttributes>} parts.attributes
  */
-export function bindings({ commands, opening, tracks, sheet, scene, image, ortho, setGizmo, attributes }) {
+export function bindings({ commands, opening, tracks, sheet, image, ortho, setGizmo, attributes }) {
   // a key that is held down acts on one box only, not on the following ones
   const once =
     (/** @type {(key: string) => unknown} */ fn) =>
@@ -352,8 +351,6 @@ export function bindings({ commands, opening, tracks, sheet, scene, image, ortho
     "gizmo-translate": () => setGizmo("translate"),
     "gizmo-rotate": () => setGizmo("rotate"),
     "gizmo-off": () => setGizmo("off"),
-    "points-larger": () => scene.points(1.25),
-    "points-smaller": () => scene.points(0.8),
     fit: () => {
       image.fit();
       ortho.fit();
