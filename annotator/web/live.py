@@ -149,7 +149,7 @@ class LivePage(ViserPage):
         super().__init__("live")
         self._facts, self._figures_at_s = facts, 0.0
         self._pipeline: Pipeline | None = None
-        self._scene = Scene(self._server, _ignored)
+        self._scene = Scene(self._server, _ignored, _ignored)
         self._reset_camera = threading.Event()
         gui = self._server.gui
         gui.main_panel.dock_right()

@@ -23,9 +23,10 @@ MOST_POINTS = 1_000_000
 
 
 class Gizmo(StrEnum):
-    """The mode of the gizmo on the selected box."""
+    """How the selected box can be moved: not, by handles on its faces, or by a gizmo."""
 
     OFF = "off"
+    FACES = "faces"
     TRANSLATE = "translate"
     ROTATE = "rotate"
 

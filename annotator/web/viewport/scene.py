@@ -27,10 +27,13 @@ from annotator.web.viewport.drawing import (
     view_placement,
     wanted_points,
 )
+from annotator.web.viewport.faces import FaceHandles
 from annotator.web.viewport.guides import Look, Stand, arrow_lines, guide_lines, scene_reach_m, stand
 
 if TYPE_CHECKING:
     import viser
+
+    from annotator.web.viewport.faces import OnFace
 
     OnGizmo = Callable[[viser.TransformControlsEvent], Coroutine[None, None, None]]
 
@@ -59,10 +62,11 @@ FRUSTUM, DRAFT_BOX, AXES = "/draft/frustum", "/draft/box", "/draft/axes"
 class Scene:
     """The scene of one viser server. Not thread-safe."""
 
-    def __init__(self, server: viser.ViserServer, on_gizmo: OnGizmo) -> None:
+    def __init__(self, server: viser.ViserServer, on_gizmo: OnGizmo, on_face: OnFace) -> None:
         self._server = server
         self._api = server.scene
         self._on_gizmo = on_gizmo
+        self._faces = FaceHandles(server.scene, on_face)
         self._points, self._point_size_m = PointCloud(np.zeros((0, 3), np.float32)), 0.0
         self._ground, self._reach_m = find_ground(self._points.xyz_m, CAMERA_UP), 0.0
         self.content = SceneContent(None, None)
@@ -85,7 +89,7 @@ class Scene:
         """Updates the scene in one atomic message; returns the number of shown points, and of all.
 
         Args:
-            hold_gizmo: keep the gizmo and the selected box where they are, during a drag.
+            hold_gizmo: keep the selected box, its gizmo and its handles as they are, during a drag.
         """
         before, self.content = self.content, content
         with self._server.atomic():
@@ -163,19 +167,22 @@ class Scene:
                 self.gizmo.visible = False
             return
         gizmo = self.gizmo
-        self._lines(
-            SELECTED_LINES,
-            box_lines(selected.box.size_m),
-            _light(_brighter(selected.color or STATE_COLORS[selected.state])),
-            THICK_PX,
-        )
-        gizmo.scale = max(GIZMO_SHARE * float(selected.box.size_m.max()), GIZMO_LEAST_M)
         gizmo.disable_axes = gizmo.disable_sliders = mode is not Gizmo.TRANSLATE
         gizmo.disable_rotations = mode is not Gizmo.ROTATE
         if not hold_gizmo:
-            gizmo.position = selected.box.center_m
-            gizmo.wxyz = selected.box.T_camera_box.rotation.as_quat(scalar_first=True)
+            self.place_selected(selected.box)
         gizmo.visible = True
+
+    def place_selected(self, box: OrientedBox) -> None:
+        """Draws the selected box, with its gizmo and handles, as this one."""
+        selected, gizmo = self.content.selected_box, self.gizmo
+        assert selected is not None
+        color = _light(_brighter(selected.color or STATE_COLORS[selected.state]))
+        self._lines(SELECTED_LINES, box_lines(box.size_m), color, THICK_PX)
+        gizmo.scale = max(GIZMO_SHARE * float(box.size_m.max()), GIZMO_LEAST_M)
+        gizmo.position = box.center_m
+        gizmo.wxyz = box.T_camera_box.rotation.as_quat(scalar_first=True)
+        self._faces.show(box.size_m if self.content.gizmo is Gizmo.FACES else None)
 
     def gizmo_box(self) -> OrientedBox | None:
         """The selected box at the pose of the gizmo; None without a selection."""

@@ -18,12 +18,13 @@ from starlette.responses import Response
 
 from annotator.project import Project
 from annotator.project.overview import read_page
-from annotator.types import BoxKind, Label, ReviewState
+from annotator.types import BoxKind, Label, OrientedBox, ReviewState
 from annotator.types.errors import NotFoundError
 from annotator.web.background import Periodic
 from annotator.web.context import Ctx, Operator
 from annotator.web.schemas import MOST_BOXES, Axes, Box2DJson, Box3DJson, ClassName, RowId, Schema, Uid
 from annotator.web.viewport.drawing import MOST_POINTS, Draft, Gizmo, PointColor, SceneContent, ShownBox, pick
+from annotator.web.viewport.faces import moved_face
 from annotator.web.viewport.guides import Look
 from annotator.web.viewport.scene import Scene
 from annotator.web.viewport.viser_page import ViserPage, forward_http, forward_socket
@@ -64,11 +65,12 @@ class Viewport(ViserPage):
         self._send = send
         self._lock = threading.Lock()
         self._dragged_s: float | None = None
-        self._scene = Scene(self._server, self._gizmo_moved)
+        self._grabbed: tuple[OrientedBox, int, np.ndarray] | None = None
+        self._scene = Scene(self._server, self._gizmo_moved, self._face_dragged)
         self._server.scene.on_click()(self._clicked)
 
     def show(self, content: SceneContent) -> tuple[int, int]:
-        """As `Scene.show`. While an operator drags the gizmo, the selected box stays at the gizmo."""
+        """As `Scene.show`. While an operator drags the selected box, it stays where it is dragged."""
         with self._lock:
             self.used_s = time.monotonic()
             dragged = self._dragged_s is not None and time.monotonic() - self._dragged_s < DRAG_ENDS_S
@@ -86,10 +88,30 @@ class Viewport(ViserPage):
     async def _gizmo_moved(self, event: viser.TransformControlsEvent) -> None:
         # a coroutine: viser runs coroutines in order on its event loop, but plain functions in a pool in any order
         with _logged("a move of the gizmo"):
-            self._dragged_s = None if event.phase == "end" else time.monotonic()
-            box, selected = self._scene.gizmo_box(), self._scene.content.selected_box
-            if event.phase != "start" and box is not None and selected is not None:
-                self.send("box", uid=selected.uid, box=Box3DJson.of(box).model_dump(), final=event.phase == "end")
+            box = self._scene.gizmo_box()
+            if box is not None:
+                self._dragged(event.phase, box)
+
+    async def _face_dragged(self, event: viser.SceneNodeDragEvent[viser.BatchedMeshHandle]) -> None:
+        with _logged("a drag of a face"):
+            selected = self._scene.content.selected_box
+            if event.phase == "start" and selected is not None and event.instance_index is not None:
+                self._grabbed = selected.box, event.instance_index, np.array(event.start_position)
+            if self._grabbed is None or selected is None:
+                return
+            eye_m = np.array(event.client.camera.position)
+            before, face, at_m = self._grabbed
+            box = moved_face(before, face, eye_m, at_m, np.array(event.end_position))
+            with self._lock:
+                self._scene.place_selected(box)
+            self._dragged(event.phase, box)
+
+    def _dragged(self, phase: str, box: OrientedBox) -> None:
+        """The operator drags the selected box to this one."""
+        self._dragged_s = None if phase == "end" else time.monotonic()
+        selected = self._scene.content.selected_box
+        if phase != "start" and selected is not None:
+            self.send("box", uid=selected.uid, box=Box3DJson.of(box).model_dump(), final=phase == "end")
 
     def send(self, event: str, **fields: object) -> None:
         self.used_s = time.monotonic()

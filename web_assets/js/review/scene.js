@@ -52,7 +52,7 @@ export function createScene(/** @type {HTMLElement} */ host, /** @type {ModeApp}
     const previews = others.map((label) => ({ uid: label.uid, box: desk.seen(label).box }));
     if (shown && (desk.hasDraft || shown.isNew)) previews.push({ uid: shown.uid, box: shown.box });
     /** @type {Scene3D} */
-    const scene = { frame: id, selected: desk.uid, previews, gizmo };
+    const scene = { frame: id, selected: desk.uid, previews, gizmo: gizmo === "off" ? "faces" : gizmo };
     const text = JSON.stringify(scene);
     if (text === sent.scene && revision === sent.revision) return;
     const waitMs = text === sent.scene ? sent.at + CALM_MS[viewport.graphics] - performance.now() : 0;
