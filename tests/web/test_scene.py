@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,7 @@ from annotator.web.viewport.drawing import (
     shown_points,
     view_placement,
 )
+from annotator.web.viewport.faces import LEAST_M
 from annotator.web.viewport.guides import arrow_lines
 from annotator.web.viewport.viewports import Viewport
 from annotator.workflows.recorded.reading import load_truth
@@ -161,6 +163,12 @@ def test_the_selected_box_is_attached_to_the_gizmo(
     assert (gizmo.disable_axes, gizmo.disable_sliders, gizmo.disable_rotations) == (True, True, False)
     viewport.show(replace(content, gizmo=Gizmo.OFF))
     assert (gizmo.visible, gizmo.disable_axes, gizmo.disable_rotations) == (True, True, True)
+    assert node(viewport, "/selected/faces") is None
+    viewport.show(replace(content, gizmo=Gizmo.FACES))
+    handles = node(viewport, "/selected/faces")
+    np.testing.assert_allclose(np.abs(handles.batched_positions).sum(axis=0), selected.size_m, rtol=1e-6)
+    viewport.show(replace(content, gizmo=Gizmo.ROTATE))
+    assert not handles.visible
     viewport.show(replace(content, selected=None))
     assert not gizmo.visible
     assert len(node(viewport, "/boxes").points) == LINES * len(boxes)
@@ -175,7 +183,7 @@ def test_colour_and_point_size_change_without_new_points(viewport: Viewport, fra
     assert sent(viewport) == ["SceneNodeUpdateMessage /cloud colors", "SceneNodeUpdateMessage /cloud point_size"]
     assert node(viewport, "/cloud").point_size == pytest.approx(2 * size)
     assert not np.array_equal(
-        np.sort(node(viewport, "/cloud").colors, axis=None), np.sort(frames[0].cloud.rgb, axis=None)
+        np.sort(node(viewport, "/cloud").colors, axis=None), np.sort(np.asarray(frames[0].cloud.rgb), axis=None)
     )
 
 
@@ -255,6 +263,49 @@ def test_a_dragged_gizmo_sends_its_box_and_stays_during_updates(
     np.testing.assert_allclose(final["box"]["size"], box.size_m)
     viewport.show(replace(content))
     np.testing.assert_allclose(gizmo.position, box.center_m)
+
+
+def test_a_dragged_face_sends_its_box_and_the_opposite_face_stays(
+    viewport: Viewport, events: Any, frames: list[Frame], boxes: tuple[ShownBox, ...]
+) -> None:
+    content = SceneContent(("room", 1), frames[0], boxes, "box1", Gizmo.FACES)
+    viewport.show(content)
+    box, eye_m = boxes[1].box, np.array([0.3, -2.0, -1.0])
+
+    def pull(phase: str, face: int, by_m: float) -> None:
+        axis, sign = face % 3, 1 if face < 3 else -1
+        grabbed = box.center_m + sign * 0.5 * box.size_m[axis] * box.rotation[:, axis]
+        event = SimpleNamespace(
+            client=SimpleNamespace(camera=SimpleNamespace(position=eye_m)),
+            phase=phase,
+            instance_index=face,
+            start_position=grabbed,
+            # anywhere on the ray through the place to which the face is pulled
+            end_position=eye_m + 0.7 * (grabbed + by_m * sign * box.rotation[:, axis] - eye_m),
+        )
+        asyncio.run(viewport._face_dragged(event))  # type: ignore[arg-type]
+
+    for face, by_m in ((0, 0.2), (1, -0.1), (5, 0.3), (3, -9.0)):
+        events.clear()
+        for phase in ("start", "update"):
+            pull(phase, face, by_m)
+        # an update by the page during the drag leaves it where it is dragged
+        lines = node(viewport, "/selected/lines").points.copy()
+        viewport.show(replace(content))
+        np.testing.assert_array_equal(node(viewport, "/selected/lines").points, lines)
+        pull("end", face, by_m)
+        assert [event["final"] for event in events.of("box")] == [False, True]
+        sent_box = events.of("box")[-1]["box"]
+        axis, sign = face % 3, 1 if face < 3 else -1
+        size_m = box.size_m.copy()
+        size_m[axis] = max(size_m[axis] + by_m, LEAST_M)
+        np.testing.assert_allclose(sent_box["size"], size_m, atol=1e-6)
+        opposite, still = (
+            np.array(center) - sign * 0.5 * size[axis] * box.rotation[:, axis]
+            for center, size in ((sent_box["center"], sent_box["size"]), (box.center_m, box.size_m))
+        )
+        np.testing.assert_allclose(opposite, still, atol=1e-6)
+        viewport.show(replace(content))
 
 
 def test_a_box_is_drawn_as_its_edges_and_an_arrow_through_its_front(boxes: tuple[ShownBox, ...]) -> None:
