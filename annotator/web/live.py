@@ -29,6 +29,7 @@ from annotator.web.limits import limited_log
 from annotator.web.security import Guard, ServerSettings, check_settings
 from annotator.web.serve import Running
 from annotator.web.viewport.drawing import SceneContent, ShownBox
+from annotator.web.viewport.guides import Look
 from annotator.web.viewport.scene import Scene
 from annotator.web.viewport.viser_page import ViserPage, forward_http, forward_socket
 from annotator.workflows.detectors import active_detectors, stand_in
@@ -148,7 +149,7 @@ class LivePage(ViserPage):
         super().__init__("live")
         self._facts, self._figures_at_s = facts, 0.0
         self._pipeline: Pipeline | None = None
-        self._scene = Scene(self._server, _ignored)
+        self._scene = Scene(self._server, _ignored, _ignored)
         self._reset_camera = threading.Event()
         gui = self._server.gui
         gui.main_panel.dock_right()
@@ -175,10 +176,10 @@ class LivePage(ViserPage):
     def show(self, detected: Detected) -> None:
         """Shows one frame, in place of the previous one."""
         boxes = tuple(ShownBox(None, proposal.box, ReviewState.PROPOSED) for proposal in detected.found.proposals)
-        reset_camera = self._reset_camera.is_set()
+        look = Look.START if self._reset_camera.is_set() else None
         self._reset_camera.clear()
         content = SceneContent(
-            SCENE_KEY, detected.frame, boxes, most_points=MOST_POINTS, point_size=POINT_SIZE, reset_camera=reset_camera
+            SCENE_KEY, detected.frame, boxes, most_points=MOST_POINTS, point_size=POINT_SIZE, look=look
         )
         self._scene.show(content)
         image = draw_detections(detected.frame, detected.found)

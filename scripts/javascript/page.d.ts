@@ -130,10 +130,11 @@ interface ViewportEvents {
   /** The gizmo moves a box; the last message of a drag is `final`. */
   box: { uid: string; box: Box3D; final: boolean };
   select: { uid: string };
-  shown: Api.SceneAnswer;
   state: ViewportState;
 }
 
+/** What the colours of boxes in the 3D view say. */
+type BoxColor = "state" | "class" | "track";
 type ViewportState = "opening" | "ready" | "lost" | "unsupported";
 
 type Client = ReturnType<typeof import("../../web_assets/js/api.js").createApi>;
@@ -144,6 +145,7 @@ type Keys = ReturnType<typeof import("../../web_assets/js/keys.js").createKeys>;
 type KeyHandler = (event: KeyboardEvent, key: string) => unknown;
 type Frames = ReturnType<typeof import("../../web_assets/js/frame_state.js").createFrameState>;
 type Viewport = ReturnType<typeof import("../../web_assets/js/viewport.js").createViewport>;
+type ViewportBar = ReturnType<typeof import("../../web_assets/js/viewport_bar.js").createViewportBar>;
 type JobLine = ReturnType<typeof import("../../web_assets/js/jobs.js").createJobLine>;
 
 /** The object that each mode receives; js/main.js creates it. */
@@ -487,7 +489,7 @@ interface Window {
 /** A box that is not stored. */
 type PreviewBox = { uid: string; box: Box3D };
 /** `Api.SceneRequest`, with boxes as the page has them. */
-type Scene3D = Omit<Api.SceneRequest, "previews" | "draft"> & {
+type Scene3D = Omit<Api.SceneRequest, "previews" | "draft" | keyof ViewportBar["settings"]> & {
   previews?: PreviewBox[];
   draft?: (Omit<Api.DraftJson, "axes"> & { axes: Matrix | null }) | null;
 };

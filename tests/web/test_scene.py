@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from viser import TransformControlsEvent
 
-from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.ground import Ground, find_ground
+from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import project
 from annotator.rcv.config import RcvConfig
@@ -23,22 +25,23 @@ from annotator.rcv.known_objects import first_views
 from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, Camera, Frame, OrientedBox, PointCloud, ReviewState
 from annotator.web.viewport.drawing import (
-    MOST_POINTS,
+    UNLABELLED_COLOR,
     Draft,
     Gizmo,
     PointColor,
     SceneContent,
     ShownBox,
-    arrow_lines,
     box_lines,
     frustum_lines,
-    initial_camera,
     pick,
     placed_box_lines,
     point_colors,
+    scene_up,
     shown_points,
     view_placement,
 )
+from annotator.web.viewport.faces import LEAST_M
+from annotator.web.viewport.guides import arrow_lines
 from annotator.web.viewport.viewports import Viewport
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.workbench.drawing_steps import label_steps
@@ -104,24 +107,31 @@ def sent(viewport: Viewport) -> list[str]:
     ]
 
 
+def assert_same_cloud(shown: Any, frame: Frame) -> None:
+    """All points of a frame, each with its colour, in any order."""
+    (rgb, xyz), cloud = (shown.colors, shown.points), frame.cloud
+    assert cloud.rgb is not None
+    orders = [np.lexsort([*points.T, *colors.T]) for points, colors in ((xyz, rgb), (cloud.xyz_m, cloud.rgb))]
+    np.testing.assert_array_equal(xyz[orders[0]], cloud.xyz_m[orders[1]])
+    np.testing.assert_array_equal(rgb[orders[0]], cloud.rgb[orders[1]])
+
+
 def test_the_cloud_is_shown_in_the_camera_frame_in_metres(viewport: Viewport, frames: list[Frame]) -> None:
     assert viewport._server.get_host() == "127.0.0.1", "its server listens on loopback only"
     shown = viewport.show(SceneContent(("room", 1), frames[0]))
     assert shown == (len(frames[0].cloud), len(frames[0].cloud))
     cloud = node(viewport, "/cloud")
-    np.testing.assert_array_equal(cloud.points, frames[0].cloud.xyz_m)
+    assert_same_cloud(cloud, frames[0])
     assert cloud.points.dtype == np.float32  # half precision would move points by millimetres
-    np.testing.assert_array_equal(cloud.colors, frames[0].cloud.rgb)
 
 
 def test_a_large_cloud_is_thinned_for_display(viewport: Viewport, frames: list[Frame]) -> None:
-    xyz = np.random.default_rng(0).normal(0, 1, (MOST_POINTS + 50_000, 3)).astype(np.float32)
-    shown = viewport.show(SceneContent(("room", 1), replace(frames[0], cloud=PointCloud(xyz))))
-    assert shown == (MOST_POINTS, MOST_POINTS + 50_000)
-    assert len(node(viewport, "/cloud").points) == MOST_POINTS
+    xyz = np.random.default_rng(0).normal(0, 1, (200_000, 3)).astype(np.float32)
+    content = SceneContent(("room", 1), replace(frames[0], cloud=PointCloud(xyz)), most_points=150_000)
+    assert viewport.show(content) == (150_000, 200_000)
+    assert len(node(viewport, "/cloud").points) == 150_000
     size = node(viewport, "/cloud").point_size
-    content = replace(viewport._scene.content, most_points=40_000)
-    assert viewport.show(content)[0] == 40_000
+    assert viewport.show(replace(content, most_points=40_000))[0] == 40_000
     assert node(viewport, "/cloud").point_size > 1.5 * size
 
 
@@ -153,6 +163,12 @@ def test_the_selected_box_is_attached_to_the_gizmo(
     assert (gizmo.disable_axes, gizmo.disable_sliders, gizmo.disable_rotations) == (True, True, False)
     viewport.show(replace(content, gizmo=Gizmo.OFF))
     assert (gizmo.visible, gizmo.disable_axes, gizmo.disable_rotations) == (True, True, True)
+    assert node(viewport, "/selected/faces") is None
+    viewport.show(replace(content, gizmo=Gizmo.FACES))
+    handles = node(viewport, "/selected/faces")
+    np.testing.assert_allclose(np.abs(handles.batched_positions).sum(axis=0), selected.size_m, rtol=1e-6)
+    viewport.show(replace(content, gizmo=Gizmo.ROTATE))
+    assert not handles.visible
     viewport.show(replace(content, selected=None))
     assert not gizmo.visible
     assert len(node(viewport, "/boxes").points) == LINES * len(boxes)
@@ -166,14 +182,16 @@ def test_colour_and_point_size_change_without_new_points(viewport: Viewport, fra
     viewport.show(replace(content, color=PointColor.DEPTH, point_size=2.0))
     assert sent(viewport) == ["SceneNodeUpdateMessage /cloud colors", "SceneNodeUpdateMessage /cloud point_size"]
     assert node(viewport, "/cloud").point_size == pytest.approx(2 * size)
-    assert not np.array_equal(node(viewport, "/cloud").colors, frames[0].cloud.rgb)
+    assert not np.array_equal(
+        np.sort(node(viewport, "/cloud").colors, axis=None), np.sort(np.asarray(frames[0].cloud.rgb), axis=None)
+    )
 
 
 def test_another_frame_replaces_the_cloud_and_leaves_the_camera(viewport: Viewport, frames: list[Frame]) -> None:
     viewport.show(SceneContent(("room", 1), frames[0]))
     sent(viewport)
     viewport.show(SceneContent(("room", 1), frames[1]))
-    np.testing.assert_array_equal(node(viewport, "/cloud").points, frames[1].cloud.xyz_m)
+    assert_same_cloud(node(viewport, "/cloud"), frames[1])
     assert not [message for message in sent(viewport) if "Camera" in message]
     viewport.show(SceneContent(("room", 2), frames[1]))
     assert [message for message in sent(viewport) if "Camera" in message]
@@ -247,6 +265,49 @@ def test_a_dragged_gizmo_sends_its_box_and_stays_during_updates(
     np.testing.assert_allclose(gizmo.position, box.center_m)
 
 
+def test_a_dragged_face_sends_its_box_and_the_opposite_face_stays(
+    viewport: Viewport, events: Any, frames: list[Frame], boxes: tuple[ShownBox, ...]
+) -> None:
+    content = SceneContent(("room", 1), frames[0], boxes, "box1", Gizmo.FACES)
+    viewport.show(content)
+    box, eye_m = boxes[1].box, np.array([0.3, -2.0, -1.0])
+
+    def pull(phase: str, face: int, by_m: float) -> None:
+        axis, sign = face % 3, 1 if face < 3 else -1
+        grabbed = box.center_m + sign * 0.5 * box.size_m[axis] * box.rotation[:, axis]
+        event = SimpleNamespace(
+            client=SimpleNamespace(camera=SimpleNamespace(position=eye_m)),
+            phase=phase,
+            instance_index=face,
+            start_position=grabbed,
+            # anywhere on the ray through the place to which the face is pulled
+            end_position=eye_m + 0.7 * (grabbed + by_m * sign * box.rotation[:, axis] - eye_m),
+        )
+        asyncio.run(viewport._face_dragged(event))  # type: ignore[arg-type]
+
+    for face, by_m in ((0, 0.2), (1, -0.1), (5, 0.3), (3, -9.0)):
+        events.clear()
+        for phase in ("start", "update"):
+            pull(phase, face, by_m)
+        # an update by the page during the drag leaves it where it is dragged
+        lines = node(viewport, "/selected/lines").points.copy()
+        viewport.show(replace(content))
+        np.testing.assert_array_equal(node(viewport, "/selected/lines").points, lines)
+        pull("end", face, by_m)
+        assert [event["final"] for event in events.of("box")] == [False, True]
+        sent_box = events.of("box")[-1]["box"]
+        axis, sign = face % 3, 1 if face < 3 else -1
+        size_m = box.size_m.copy()
+        size_m[axis] = max(size_m[axis] + by_m, LEAST_M)
+        np.testing.assert_allclose(sent_box["size"], size_m, atol=1e-6)
+        opposite, still = (
+            np.array(center) - sign * 0.5 * size[axis] * box.rotation[:, axis]
+            for center, size in ((sent_box["center"], sent_box["size"]), (box.center_m, box.size_m))
+        )
+        np.testing.assert_allclose(opposite, still, atol=1e-6)
+        viewport.show(replace(content))
+
+
 def test_a_box_is_drawn_as_its_edges_and_an_arrow_through_its_front(boxes: tuple[ShownBox, ...]) -> None:
     truth = boxes[0].box
     lines = placed_box_lines(truth)
@@ -305,19 +366,24 @@ def test_a_view_is_placed_in_front_of_its_points_with_each_pixel_in_place(
 UP = np.array([0.0, -1.0, 0.0])
 
 
+def ground_of(cloud: PointCloud) -> Ground:
+    return find_ground(cloud.xyz_m, UP)
+
+
 def frame_of(xyz: np.ndarray, rgb: np.ndarray | None = None, reflectance: np.ndarray | None = None) -> Frame:
     camera = Camera(8, 6, 10.0, 10.0, 3.5, 2.5)
     cloud = PointCloud(xyz.astype(np.float32), rgb, reflectance)
     return Frame("0", 0, camera, np.zeros((6, 8, 3), np.uint8), cloud)
 
 
-def test_a_thinned_point_keeps_its_own_colour() -> None:
+def test_a_thinned_point_keeps_its_own_colour_and_the_first_points_are_everywhere() -> None:
     n = 1000
     xyz = np.column_stack([np.arange(n), np.zeros(n), np.ones(n)])
     rgb = np.column_stack([np.arange(n) % 256, np.arange(n) // 256, np.zeros(n)]).astype(np.uint8)
-    shown = shown_points(frame_of(xyz, rgb), 100)
+    shown = shown_points(frame_of(xyz, rgb).cloud, 100)
     assert len(shown) == 100
-    colors = point_colors(shown, PointColor.RGB, UP).astype(int)
+    assert 250 < shown.xyz_m[:50, 0].mean() < 750  # a browser may draw only these
+    colors = point_colors(shown, PointColor.RGB, ground_of(shown)).astype(int)
     np.testing.assert_array_equal(colors[:, 0] + 256 * colors[:, 1], shown.xyz_m[:, 0].astype(int))
 
 
@@ -328,27 +394,54 @@ def test_every_cloud_has_every_kind_of_colour(what: str) -> None:
     reflectance = rng.random(n).astype(np.float32) if what == "reflectance" else None
     cloud = frame_of(rng.normal(0, 1, (n, 3)) + np.array([0, 0, 5]), rgb, reflectance).cloud
     for color in PointColor:
-        colors = point_colors(cloud, color, UP)
+        colors = point_colors(cloud, color, ground_of(cloud))
         assert (colors.shape, colors.dtype) == ((n, 3), np.uint8)
 
 
-def test_height_colours_depend_only_on_the_height() -> None:
-    height = np.linspace(0, 2, 100)
-    low_to_high = frame_of(np.column_stack([np.zeros(100), -height, np.full(100, 4)])).cloud
-    colors = point_colors(low_to_high, PointColor.HEIGHT, UP).astype(int)
-    assert colors[0, 2] > colors[0, 0]  # low: blue
-    assert colors[-1, 0] > colors[-1, 2]  # high: red
-    moved = frame_of(low_to_high.xyz_m + np.array([3.0, 0, 5.0])).cloud
-    np.testing.assert_array_equal(point_colors(moved, PointColor.HEIGHT, UP), colors)
+def test_height_colours_show_the_height_above_the_ground() -> None:
+    height = np.tile(np.linspace(0, 2, 100), 20)
+    ahead = np.repeat(np.linspace(2, 12, 20), 100)
+    slope = frame_of(np.column_stack([np.zeros(2000), 0.05 * ahead - height, ahead])).cloud
+    colors = point_colors(slope, PointColor.HEIGHT, ground_of(slope)).reshape(20, 100, 3).astype(int)
+    assert (colors[:, 0, 2] > colors[:, 0, 0]).all()  # low: blue
+    assert (colors[:, -1, 0] > colors[:, -1, 2]).all()  # high: red
 
 
-def test_the_initial_camera_is_behind_the_camera_and_looks_along_its_axis(generated: Path) -> None:
-    recording = open_recording(generated / "people")
-    frame = recording.frame(0)
-    position, look_at = initial_camera(frame)
-    assert frame.up is not None and position[2] < 0 < position @ frame.up, "behind and above it"
-    np.testing.assert_array_equal(look_at[:2], 0)
-    assert np.percentile(frame.cloud.xyz_m[:, 2], 20) < look_at[2] < np.percentile(frame.cloud.xyz_m[:, 2], 80)
+def test_points_are_left_out_by_height_and_by_the_selected_box_and_those_in_no_box_stand_out(
+    viewport: Viewport, frames: list[Frame], boxes: tuple[ShownBox, ...]
+) -> None:
+    content = SceneContent(("room", 1), frames[0], boxes, "box1")
+    total, _ = viewport.show(content)
+    ground = find_ground(frames[0].cloud.xyz_m, scene_up(frames[0]))
+    above_m = ground.above_m(frames[0].cloud.xyz_m)
+    standing = viewport.show(replace(content, hide_ground=True))[0]
+    assert standing == np.count_nonzero(above_m > ground.thickness_m) < 0.9 * total
+    assert viewport.show(replace(content, most_height_m=1.0))[0] == np.count_nonzero(above_m < 1.0)
+    near = viewport.show(replace(content, only_selected=True))[0]
+    assert np.count_nonzero(contains(boxes[1].box, frames[0].cloud.xyz_m)) < near < 0.5 * total
+    assert node(viewport, "/boxes") is None, "other boxes are left out, too"
+    assert viewport.show(replace(content, most_height_m=0.0, hide_ground=True))[0] == 0
+    assert node(viewport, "/cloud") is None
+    viewport.show(replace(content, color=PointColor.UNLABELLED))
+    cloud = node(viewport, "/cloud")
+    stands = ground.above_m(cloud.points) >= ground.thickness_m
+    in_a_box = np.any([contains(shown.box, cloud.points) for shown in boxes], axis=0)
+    bright = (cloud.colors == UNLABELLED_COLOR).all(axis=1)
+    np.testing.assert_array_equal(bright, stands & ~in_a_box)
+    sent(viewport)
+    viewport.show(replace(content, color=PointColor.UNLABELLED, boxes=boxes[1:]))
+    assert "SceneNodeUpdateMessage /cloud colors" in sent(viewport), "a box was removed"
+    assert np.count_nonzero((cloud.colors == UNLABELLED_COLOR).all(axis=1)) > bright.sum()
+
+
+def test_a_box_may_have_another_colour_than_that_of_its_state(
+    viewport: Viewport, frames: list[Frame], boxes: tuple[ShownBox, ...]
+) -> None:
+    violet = replace(boxes[0], color=(255, 0, 255))
+    viewport.show(SceneContent(("room", 1), frames[0], (violet, *boxes[1:])))
+    colors = node(viewport, "/boxes").colors.reshape(len(boxes), -1, 3)
+    assert colors[0, 0].tolist() == [255, 0, 255]
+    assert colors[1, 0].tolist() != [255, 0, 255]
 
 
 unit = st.floats(-1, 1)

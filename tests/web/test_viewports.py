@@ -77,8 +77,11 @@ def test_a_preview_replaces_the_box_of_its_label(live: Any, frame_id: int) -> No
     moved = {"center": [0.5, 0, 3], "size": [1, 1, 1], "rotation": np.eye(3).tolist()}
     show(live, viewport, frame=frame_id, selected=uid, previews=[{"uid": uid, "box": moved}], gizmo="rotate")
     assert [shown.uid for shown in scene.content.boxes] == [uid]
-    np.testing.assert_allclose(scene.selected.box.center_m, [0.5, 0, 3])
-    assert scene.selected.state is ReviewState.ACCEPTED
+    np.testing.assert_allclose(scene.content.selected_box.box.center_m, [0.5, 0, 3])
+    assert scene.content.selected_box.state is ReviewState.ACCEPTED
+    show(live, viewport, frame=frame_id, colors={uid: "#00ff80", "gone": "#ffffff"})
+    assert [shown.color for shown in scene.content.boxes] == [(0, 255, 128)]
+    assert show(live, viewport, frame=frame_id, colors={uid: "red"}).status_code == 422
     # all unstored boxes are shown, the selected one as changed by its preview
     added = [{"uid": f"new-{n}", "box": {**moved, "center": [n, 0, 3]}} for n in (1, 2)]
     show(live, viewport, frame=frame_id, selected="new-2", previews=added)
@@ -129,7 +132,7 @@ def test_the_proxy_adds_a_content_security_policy_to_viser_s_page(live: Any) -> 
 def test_the_proxy_forwards_the_cloud_and_the_camera(live: Any, frame_id: int, wait_for: Callable) -> None:
     viewport = opened(live)
     show(live, viewport, frame=frame_id)
-    points = live.context.caches.frames.read(live.context.project("room"), frame_id).cloud.xyz_m.tobytes()
+    points = viewport_of(live, viewport)._server.scene.get_handle_by_name("/cloud").points.tobytes()
     with browser(live, viewport) as socket:
         assert socket.subprotocol == PROTOCOL
         assert any(points in message for message in iter(lambda: socket.recv(timeout=PATIENCE_S), None))

@@ -82,7 +82,7 @@ export const KEYS = [
     ["sheet", ["S"], "Contact sheet of this object's track"],
     ["copy-next", ["Shift+C"], "Copy this box to the next frame", ["Shift", "C"]],
     ["carry", ["A"], "Correct the boxes after this one, the track's last reviewed one, alike"],
-    ["track-split", ["H"], "Split the track here: from this frame on, it gets a new number"],
+    ["track-split", ["E"], "Split the track here: from this frame on, it gets a new number"],
     ["track-merge", ["Shift+M"], "Merge the track with another one", ["Shift", "M"]],
     ["track-class", digits("Shift+"), "Class of the whole track", ["Shift", "1", "…", "9"]],
     ["track-size", ["Z"], "The size of this box for the whole track"],
@@ -95,6 +95,9 @@ export const KEYS = [
     ["top-view", ["M"], "Top view (a map) or 3D view"],
     ["points-larger", ["+", "="], "Larger points", ["+"]],
     ["points-smaller", ["-"], "Smaller points"],
+    ["look-box", ["O"], "3D view: look at the selected box, and turn around it (or double-click it)"],
+    ["hide-ground", ["H"], "3D view: hide the ground"],
+    ["unlabelled", ["U"], "3D view: highlight what nobody labelled"],
     ["fit", ["0", "Home"], "Fit the pictures to their panels"],
   ]),
   ...rows("2D boxes", ANNOTATE, [

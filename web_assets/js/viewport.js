@@ -8,16 +8,21 @@
 
 import { h } from "./dom.js";
 import { ApiError } from "./errors.js";
+import { createPace } from "./pace.js";
+import { createViewportBar } from "./viewport_bar.js";
 
 /** @typedef {{ project: string, scene: Scene3D }} Wanted */
 
 const FOLLOW_MS = 200;
 const RETRY_MS = 1500;
 const ASK_MS = 800;
-// Number of points without a graphics card: the CPU takes about 5 us per point. Fewer points are drawn larger.
-const SOFTWARE_POINTS = 10000;
-// Resolution without a graphics card, relative to the screen's along each side (a setting of viser's page).
-const SOFTWARE_PIXELS = 0.65;
+// A box that is selected by a double click comes this much later than the click, at most.
+const DOUBLE_MS = 1000;
+/**
+ * What is sent and drawn without a graphics card: at most this number of points, at rest, and while the camera moves this
+ * number until frames are measured; and the resolution, relative to the screen's (a setting of viser's page).
+ */
+const SOFTWARE = { points: 150_000, moving: 60_000, pixels: 0.8 };
 const NO_WEBGL =
   "This browser cannot draw in 3D (no WebGL 2). The image and the views work without it. " +
   "For the 3D view, turn on hardware acceleration or use another browser.";
@@ -30,8 +35,10 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   /** @type {Map<string, Set<(value: never) => unknown>>} */
   const listeners = new Map();
   const note = h("p", { class: "viewport-note", role: "status", "data-testid": "viewport-note" });
-  const element = h("div", { class: "viewport-place", "data-testid": "viewport" }, note);
-  const layer = h("div", { class: "viewport-layer", hidden: true });
+  const stage = h("div", { class: "viewport-stage", "data-testid": "viewport" }, note);
+  const bar = createViewportBar({ change: () => look(null), look });
+  const element = h("div", { class: "viewport" }, bar.root, stage);
+  const layer = h("div", { class: "viewport-layer", hidden: true }, bar.looks);
   const place = { text: "" };
   /** @type {HTMLIFrameElement | null} */
   let frame = null;
@@ -54,21 +61,21 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   /** @type {ViewportState} */
   let state = "opening";
   let retry = 0;
+  let doubleClickedAt = -Infinity;
 
-  Object.assign(element.style, { position: "absolute", inset: "0", display: "grid", placeItems: "center" });
-  Object.assign(note.style, { maxWidth: "36em", padding: "0 2em", textAlign: "center", color: "#c3c9d4" });
-  Object.assign(layer.style, { position: "fixed", zIndex: "1", overflow: "hidden", background: "#141414" });
   document.body.append(layer);
 
   const observer = new ResizeObserver(follow);
-  observer.observe(element);
+  observer.observe(stage);
   setInterval(follow, FOLLOW_MS);
+  app.keys.register(bar.keys);
   app.events.on("viewport", receive);
   app.events.on("reconnected", showAgain);
   window.addEventListener("resize", follow);
   window.addEventListener("scroll", follow, { capture: true, passive: true });
   window.addEventListener("pagehide", leave);
   const graphics = lookAtGraphics();
+  const pace = createPace(graphics === "software" ? SOFTWARE.moving : Infinity);
   if (graphics === "none") say("unsupported", NO_WEBGL);
 
   /**
@@ -85,14 +92,15 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     const changed = state !== next;
     state = next;
     note.textContent = text;
-    element.dataset.state = next;
+    stage.dataset.state = next;
+    bar.root.hidden = next === "unsupported";
     follow();
     if (changed) emit("state", next);
   }
 
   /** Puts the iframe over its place. Hides it while the place is not on the page, or there is no picture. */
   function follow() {
-    const rect = element.isConnected ? element.getBoundingClientRect() : null;
+    const rect = element.isConnected ? stage.getBoundingClientRect() : null;
     const ready = state === "ready";
     const seen = rect !== null && rect.width > 1 && rect.height > 1 && frame !== null && !isHeld;
     const text = seen ? `${rect.left},${rect.top},${rect.width},${rect.height},${ready}` : "";
@@ -111,8 +119,16 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   function show(/** @type {Scene3D} */ scene) {
     const { project } = app.state.route;
     if (state === "unsupported" || project === null) return;
-    wanted = { project, scene };
+    // the first click of a double click selects a box, and the page hears of it after the second one
+    const isDouble = performance.now() - doubleClickedAt < DOUBLE_MS && scene.selected !== last?.scene.selected;
+    wanted = { project, scene: isDouble ? { look: "focus", ...scene } : scene };
     void work();
+  }
+
+  /** Shows the scene with the present settings, and moves the viewer. */
+  function look(/** @type {Api.Look | null} */ from) {
+    const scene = (wanted ?? last)?.scene;
+    if (scene) show({ ...scene, look: from ?? scene.look });
   }
 
   /** Sends the wanted scene, one request at a time: a newer scene waits for the answer to an older one. */
@@ -151,16 +167,24 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
       start(bench.url);
       return;
     }
-    const detail = graphics === "software" ? { most_points: SOFTWARE_POINTS } : {};
+    const detail = graphics === "software" ? { most_points: SOFTWARE.points } : {};
+    const { frame: open, project: info } = app.state;
+    const colors = open && info && open.frame.id === scene.frame ? bar.boxColors(info, open.labels) : {};
     /** @type {Api.SceneAnswer} */
-    const answer = await app.api.put(`/api/workbench/${bench.id}/scene`, { ...detail, ...scene });
-    // the view is reset once, not each time that the scene is shown again
-    last = { project, scene: { ...scene, reset_view: false } };
+    const answer = await app.api.put(`/api/workbench/${bench.id}/scene`, {
+      ...detail,
+      ...bar.settings,
+      colors,
+      ...scene,
+    });
+    // the viewer is moved once, not each time that the scene is shown again
+    last = { project, scene: { ...scene, look: null } };
     if (wanted === newest) wanted = null;
     connected(answer.connected);
     // the event may be missed while the page's own socket is being opened
     if (!answer.connected) retry = setTimeout(showAgain, ASK_MS);
-    emit("shown", answer);
+    pace.moved(performance.now());
+    bar.show(answer, Boolean(scene.selected));
   }
 
   function again() {
@@ -190,27 +214,52 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   function start(/** @type {string} */ url) {
     frame?.remove();
     const fresh = h("iframe", { title: "3D view", "data-testid": "viewport-frame", tabindex: "-1" });
-    Object.assign(fresh.style, { position: "absolute", inset: "0", width: "100%", height: "100%", border: "0" });
     fresh.addEventListener("load", () => prepare(fresh));
-    fresh.src = graphics === "software" ? `${url}?fixedDpr=${SOFTWARE_PIXELS}` : url;
+    fresh.src = graphics === "software" ? `${url}?fixedDpr=${SOFTWARE.pixels}` : url;
     frame = fresh;
-    layer.append(fresh);
+    layer.prepend(fresh);
     follow();
   }
 
   function prepare(/** @type {HTMLIFrameElement} */ loaded) {
-    const view = loaded.contentWindow;
     // without a server, the browser shows a page of its own, which is out of reach
-    if (view === null || loaded.contentDocument === null || view.location.href === "about:blank") return;
+    const view = loaded.contentDocument?.defaultView;
+    if (!view || view.location.href === "about:blank") return;
     const style = view.document.createElement("style");
     style.textContent = STYLE;
     view.document.head.append(style);
+    paceDrawing(view);
     app.keys.listen(view);
     app.effort.watch(view);
     // registered after the key table's listener; keeps all keys from viser
     view.addEventListener("keydown", keep, { capture: true });
     view.addEventListener("keyup", keep, { capture: true });
     view.addEventListener("keypress", keep, { capture: true });
+  }
+
+  /** Draws no more points than the pace allows. Without a graphics card, antialiasing would double a frame's time. */
+  function paceDrawing(/** @type {Window & typeof globalThis} */ view) {
+    const [gl, canvas] = [view.WebGL2RenderingContext.prototype, view.HTMLCanvasElement.prototype];
+    const { drawArrays } = gl;
+    gl.drawArrays = function (mode, first, count) {
+      const shown = mode === this.POINTS ? pace.draw(count, performance.now()) : count;
+      drawArrays.call(this, mode, first, shown);
+    };
+    const moved = () => pace.moved(performance.now());
+    view.addEventListener("pointermove", ({ buttons }) => buttons > 0 && moved(), { capture: true });
+    view.addEventListener("wheel", moved, { capture: true, passive: true });
+    view.addEventListener("dblclick", () => {
+      doubleClickedAt = performance.now();
+      look("focus");
+    });
+    if (graphics !== "software") return;
+    const getContext = /** @type {(kind: string, settings?: object) => RenderingContext | null} */ (canvas.getContext);
+    Object.assign(canvas, {
+      /** @this {HTMLCanvasElement} */
+      getContext(/** @type {string} */ kind, /** @type {object} */ settings) {
+        return getContext.call(this, kind, { ...settings, antialias: false });
+      },
+    });
   }
 
   function keep(/** @type {KeyboardEvent} */ event) {

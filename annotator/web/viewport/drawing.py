@@ -6,43 +6,49 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import lru_cache
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32, Float64, UInt8
+from jaxtyping import Float, Float32, Float64, Int64, UInt8
 
-from annotator.geometry.oriented_box import CORNER_SIGNS, EDGES
+from annotator.geometry.ground import Ground
+from annotator.geometry.oriented_box import CORNER_SIGNS, EDGES, contains
 from annotator.geometry.projection import in_frustum, thin, undistort_px
 from annotator.types import Box2D, Frame, OrientedBox, PointCloud, PseudoView, ReviewState
+from annotator.web.viewport.guides import Look
 
-# Default limit of shown points, which graphics cards and networks handle without delay.
-MOST_POINTS = 150_000
+# Limit of shown points: all of a frame's, which graphics cards draw without delay. Browsers without one ask for fewer.
+MOST_POINTS = 1_000_000
 
 
 class Gizmo(StrEnum):
-    """The mode of the gizmo on the selected box."""
+    """How the selected box can be moved: not, by handles on its faces, or by a gizmo."""
 
     OFF = "off"
+    FACES = "faces"
     TRANSLATE = "translate"
     ROTATE = "rotate"
 
 
 class PointColor(StrEnum):
-    """The quantity that the points' colours show."""
+    """The quantity that the points' colours show; `UNLABELLED`: what stands on the ground and is in no box."""
 
     RGB = "rgb"
     DEPTH = "depth"
     HEIGHT = "height"
     INTENSITY = "intensity"
+    UNLABELLED = "unlabelled"
 
 
 @dataclass(frozen=True, eq=False)
 class ShownBox:
-    """A 3D box of the scene."""
+    """A 3D box of the scene. Its colour is that of its state unless another one is given."""
 
     uid: str | None
     box: OrientedBox
     state: ReviewState
+    color: tuple[int, int, int] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +69,12 @@ class SceneContent:
     """The content of a viewport.
 
     Attributes:
-        key: identifies the recording; the camera is reset if it changes.
+        key: identifies the recording; the viewer is moved if it changes.
         frame: None = an empty viewport.
         point_size: factor of the default size, which depends on the cloud's distance.
+        hide_ground, most_height_m: leave out points of the ground, and those higher above it.
+        only_selected: leave out other boxes, and points that are not near the selected one.
+        look: moves the viewer.
     """
 
     key: tuple[str, int] | None
@@ -77,54 +86,106 @@ class SceneContent:
     color: PointColor = PointColor.RGB
     most_points: int = MOST_POINTS
     point_size: float = 1.0
-    reset_camera: bool = False
+    hide_ground: bool = False
+    most_height_m: float | None = None
+    only_selected: bool = False
+    look: Look | None = None
+
+    @property
+    def selected_box(self) -> ShownBox | None:
+        """The selected box, which the gizmo moves."""
+        return next((shown for shown in self.boxes if shown.uid is not None and shown.uid == self.selected), None)
+
+    @property
+    def points_key(self) -> tuple[object, ...]:
+        """Equal for two contents that show the same points of a frame."""
+        near = self.selected_box if self.only_selected else None
+        return (
+            self.most_points,
+            self.hide_ground,
+            self.most_height_m,
+            near and (near.box.pose.tobytes(), *near.box.size_m),
+        )
+
+    @property
+    def colors_key(self) -> tuple[object, ...]:
+        """Equal for two contents whose points have the same colours."""
+        boxes = self.boxes if self.color is PointColor.UNLABELLED else ()
+        return self.color, *((shown.box.pose.tobytes(), *shown.box.size_m) for shown in boxes)
 
 
 # Depth and height colours cover the range between these percentiles, so that outliers do not compress them.
 LOW_PERCENT, HIGH_PERCENT = 2.0, 98.0
-# Point size as a share of the cloud's median distance: about the spacing of a thinned RGB-D cloud.
-POINT_SHARE = 0.0035
-# If there are fewer points than FULL_DETAIL, they are drawn larger, up to a factor. The factor is higher for a thinned
-# cloud, whose surfaces are dense.
-FULL_DETAIL, LARGEST_GROWTH, LARGEST_GROWTH_THINNED = 150_000, 2.0, 3.5
+# Point size as a share of the cloud's median distance: small for the lines of a LiDAR, which no size would close. For a
+# depth camera, as multiples of the distance between the points on a surface that it sees from the front.
+LIDAR_SHARE, DEPTH_SPACINGS = 0.0015, 1.5
 # Number of points for estimates of a scene's distance.
 SAMPLE = 5_000
-# Position of the initial camera behind and above the recording's camera, as shares of the scene's distance.
-BEHIND, ABOVE = 0.2, 0.2
+# Points near the selected box: within this share of its longest side.
+NEAR_SHARE = 0.25
+# Colours of points on the ground, in a box, and in none.
+GROUND_GRAY, LABELLED_GRAY, UNLABELLED_COLOR = (44, 47, 53), (92, 98, 108), (255, 190, 92)
 # Distance of an empty scene, metres.
 EMPTY_DISTANCE_M = 3.0
 
 CAMERA_UP = np.array([0.0, -1.0, 0.0])
 
 
-def shown_points(frame: Frame, most: int) -> PointCloud:
-    """The shown part of a frame's cloud, at most `most` points, with colours and reflectance."""
-    cloud = frame.cloud
-    keep = thin(len(cloud), most)
-    if keep is None:
-        return cloud
-    rgb, reflectance = (
-        None if values is None else values.take(keep, axis=0) for values in (cloud.rgb, cloud.reflectance)
-    )
-    return PointCloud(cloud.xyz_m.take(keep, axis=0), rgb, reflectance)
+def wanted_points(content: SceneContent, ground: Ground) -> PointCloud:
+    """The points of the content's frame that are not left out, with colours and reflectance."""
+    assert content.frame is not None
+    cloud, near = content.frame.cloud, content.selected_box
+    keep = np.ones(len(cloud), bool)
+    if content.only_selected and near is not None:
+        keep &= contains(near.box, cloud.xyz_m, NEAR_SHARE * float(near.box.size_m.max()))
+    if content.hide_ground or content.most_height_m is not None:
+        above_m = ground.above_m(cloud.xyz_m)
+        keep &= above_m > (ground.thickness_m if content.hide_ground else -np.inf)
+        keep &= above_m < (np.inf if content.most_height_m is None else content.most_height_m)
+    return cloud if keep.all() else cloud.select(keep)
 
 
-def point_colors(cloud: PointCloud, color: PointColor, up: Float64[np.ndarray, "3"]) -> UInt8[np.ndarray, "n 3"]:
-    """The colour of each point; a cloud without the required quantity is coloured by depth.
-
-    Args:
-        up: unit vector, camera frame.
+def shown_points(cloud: PointCloud, most: int) -> PointCloud:
+    """At most `most` points of a cloud, with colours and reflectance, in random order: any number of the first ones is
+    the cloud thinned evenly, which a slow browser draws while the camera moves.
     """
+    order = _order(len(cloud), most)
+    rgb, reflectance = (
+        None if values is None else values.take(order, axis=0) for values in (cloud.rgb, cloud.reflectance)
+    )
+    return PointCloud(cloud.xyz_m.take(order, axis=0), rgb, reflectance)
+
+
+@lru_cache(maxsize=4)
+def _order(n_points: int, most: int) -> Int64[np.ndarray, "m"]:
+    keep = thin(n_points, most)
+    return np.random.default_rng(0).permutation(n_points if keep is None else keep)
+
+
+def point_colors(
+    cloud: PointCloud, color: PointColor, ground: Ground, boxes: Sequence[ShownBox] = ()
+) -> UInt8[np.ndarray, "n 3"]:
+    """The colour of each point; a cloud without the required quantity is coloured by depth."""
     if color is PointColor.RGB and cloud.rgb is not None:
         return cloud.rgb
     if color is PointColor.HEIGHT:
-        return _mapped(cloud.xyz_m @ up.astype(np.float32))
+        return _mapped(ground.above_m(cloud.xyz_m))
+    if color is PointColor.UNLABELLED:
+        return _unlabelled(cloud, ground, boxes)
     if color is not PointColor.DEPTH and cloud.reflectance is not None:
         # the square root brightens dark values, which most LiDAR returns have
         return _gray(np.sqrt(np.clip(cloud.reflectance, 0, 1)))
     if color is PointColor.INTENSITY and cloud.rgb is not None:
         return _gray(cloud.rgb @ np.array([0.299, 0.587, 0.114], np.float32) / np.float32(255))
     return _mapped(-np.log(np.maximum(cloud.xyz_m[:, 2], np.float32(0.05))))
+
+
+def _unlabelled(cloud: PointCloud, ground: Ground, boxes: Sequence[ShownBox]) -> UInt8[np.ndarray, "n 3"]:
+    colors = np.tile(np.array(UNLABELLED_COLOR, np.uint8), (len(cloud), 1))
+    colors[ground.above_m(cloud.xyz_m) < ground.thickness_m] = GROUND_GRAY
+    for shown in boxes:
+        colors[contains(shown.box, cloud.xyz_m)] = LABELLED_GRAY
+    return colors
 
 
 def typical_distance_m(cloud: PointCloud) -> float:
@@ -135,32 +196,21 @@ def typical_distance_m(cloud: PointCloud) -> float:
     return max(float(np.median(np.linalg.norm(some, axis=1))), 0.05)
 
 
-def point_size_m(shown: PointCloud, n_points: int) -> float:
+def point_size_m(frame: Frame, shown_share: float) -> float:
     """The default point size, metres.
 
     Args:
-        shown: the shown points; the fewer, the larger each is, so that surfaces stay closed.
-        n_points: of the whole cloud.
+        shown_share: of a depth camera's points; the fewer, the larger each is, so that surfaces stay closed.
     """
-    ratio = max(FULL_DETAIL / max(len(shown), 1), 1.0)
-    largest = LARGEST_GROWTH if n_points == len(shown) else LARGEST_GROWTH_THINNED
-    return POINT_SHARE * typical_distance_m(shown) * min(math.sqrt(ratio), largest)
+    distance_m = typical_distance_m(frame.cloud)
+    if frame.depth_m is None:
+        return LIDAR_SHARE * distance_m
+    return DEPTH_SPACINGS * distance_m / frame.camera.fx / math.sqrt(max(shown_share, 1e-3))
 
 
 def scene_up(frame: Frame) -> Float64[np.ndarray, "3"]:
     """The up direction in the camera frame: against gravity if known, else up in the image."""
     return CAMERA_UP if frame.up is None else frame.up
-
-
-def initial_camera(frame: Frame) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
-    """Where the viewport's camera is first, behind and slightly above the recording's one, and the point on the optical
-    axis that it looks at; metres, camera frame.
-    """
-    ahead_m = EMPTY_DISTANCE_M
-    if len(frame.cloud):
-        ahead_m = max(float(np.median(frame.cloud.xyz_m[:: max(1, len(frame.cloud) // SAMPLE), 2])), 0.2)
-    axis = np.array([0.0, 0.0, 1.0])
-    return ahead_m * (ABOVE * scene_up(frame) - BEHIND * axis), ahead_m * axis
 
 
 def _gray(share: Float[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
@@ -217,8 +267,6 @@ SIDE_STEPS = 4
 FAR_PERCENT, EMPTY_FAR_M = 99.0, 5.0
 # Distance between a view's image and the nearest of its points, as a share of the view's larger side.
 GAP = 0.15
-# An arrow's head: length and radius as shares of the arrow, and number of lines of its cone.
-HEAD_LENGTH, HEAD_RADIUS, HEAD_LINES = 0.12, 0.045, 16
 # The head of a box's heading begins and ends in front of the box, where no edge hides it: distances from the front and
 # radius, shares of the box's mean side.
 HEADING_FROM, HEADING_TO, HEADING_RADIUS = 0.08, 0.4, 0.13
@@ -259,30 +307,6 @@ def frustum_lines(frame: Frame, image_box: Box2D) -> Segments:
     segments = np.array(lines, np.float32)
     # a corner outside the range of the lens model has no ray
     return segments[np.isfinite(segments).all(axis=(1, 2))]
-
-
-def arrow_lines(
-    start_m: Float64[np.ndarray, "3"], tip_m: Float64[np.ndarray, "3"], end_m: Float64[np.ndarray, "3"]
-) -> Segments:
-    """An arrow as lines: its shaft, then the cone of its head from the tip to a ring, then the ring.
-
-    The colour of lines does not depend on the lights, in contrast to that of a mesh.
-
-    Args:
-        start_m, end_m: of the shaft.
-        tip_m: tip of the head, on the shaft: at the end of the shaft, points would hide it.
-    """
-    along = end_m - start_m
-    length = float(np.linalg.norm(along))
-    direction = along / length
-    across = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
-    across /= np.linalg.norm(across)
-    angle = 2 * np.pi * np.arange(HEAD_LINES)[:, None] / HEAD_LINES
-    spokes = np.cos(angle) * across + np.sin(angle) * np.cross(direction, across)
-    ring = tip_m - HEAD_LENGTH * along + HEAD_RADIUS * length * spokes
-    cone = np.stack([np.broadcast_to(tip_m, ring.shape), ring], axis=1)
-    rim = np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
-    return np.concatenate([np.stack([start_m, end_m])[None], cone, rim]).astype(np.float32)
 
 
 def view_placement(view: PseudoView) -> Float64[np.ndarray, "3 3"]:

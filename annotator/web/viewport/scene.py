@@ -9,27 +9,31 @@ import numpy as np
 from jaxtyping import UInt8
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.geometry.ground import find_ground
 from annotator.rcv.pseudo_view import BACKGROUND
 from annotator.types import Frame, OrientedBox, PointCloud, ReviewState
 from annotator.web.viewport.drawing import (
+    CAMERA_UP,
     Draft,
     Gizmo,
     SceneContent,
-    ShownBox,
-    arrow_lines,
     box_lines,
     frustum_lines,
-    initial_camera,
     placed_box_lines,
     point_colors,
     point_size_m,
     scene_up,
     shown_points,
     view_placement,
+    wanted_points,
 )
+from annotator.web.viewport.faces import FaceHandles
+from annotator.web.viewport.guides import Look, Stand, arrow_lines, guide_lines, scene_reach_m, stand
 
 if TYPE_CHECKING:
     import viser
+
+    from annotator.web.viewport.faces import OnFace
 
     OnGizmo = Callable[[viser.TransformControlsEvent], Coroutine[None, None, None]]
 
@@ -45,24 +49,26 @@ BRIGHTER = 0.45
 DRAFT_COLOR = (255, 214, 10)
 FRUSTUM_COLOR = (200, 204, 212)
 AXIS_COLOR = (255, 59, 48)
-THIN_PX, THICK_PX = 1.6, 4.0
+HAIR_PX, THIN_PX, THICK_PX = 1.0, 1.6, 4.0
 # Opacity of a pseudo-view's empty pixels, 0..255.
 EMPTY_ALPHA = 90
 # Size of the gizmo, as a share of the selected box's longest side, and its minimum, metres.
 GIZMO_SHARE, GIZMO_LEAST_M = 0.75, 0.08
 
-CLOUD, BOXES, SELECTED, SELECTED_LINES = "/cloud", "/boxes", "/selected", "/selected/lines"
+CLOUD, GUIDES, BOXES, SELECTED, SELECTED_LINES = "/cloud", "/guides", "/boxes", "/selected", "/selected/lines"
 FRUSTUM, DRAFT_BOX, AXES = "/draft/frustum", "/draft/box", "/draft/axes"
 
 
 class Scene:
     """The scene of one viser server. Not thread-safe."""
 
-    def __init__(self, server: viser.ViserServer, on_gizmo: OnGizmo) -> None:
+    def __init__(self, server: viser.ViserServer, on_gizmo: OnGizmo, on_face: OnFace) -> None:
         self._server = server
         self._api = server.scene
         self._on_gizmo = on_gizmo
+        self._faces = FaceHandles(server.scene, on_face)
         self._points, self._point_size_m = PointCloud(np.zeros((0, 3), np.float32)), 0.0
+        self._ground, self._reach_m = find_ground(self._points.xyz_m, CAMERA_UP), 0.0
         self.content = SceneContent(None, None)
         self._api.configure_default_lights(False)
         self._api.configure_environment_map(None)
@@ -79,21 +85,25 @@ class Scene:
             self._gizmo.on_update(self._on_gizmo)
         return self._gizmo
 
-    @property
-    def selected(self) -> ShownBox | None:
-        """The selected box, which the gizmo moves."""
-        return next((b for b in self.content.boxes if b.uid is not None and b.uid == self.content.selected), None)
-
     def show(self, content: SceneContent, hold_gizmo: bool = False) -> tuple[int, int]:
         """Updates the scene in one atomic message; returns the number of shown points, and of all.
 
         Args:
-            hold_gizmo: keep the gizmo and the selected box where they are, during a drag.
+            hold_gizmo: keep the selected box, its gizmo and its handles as they are, during a drag.
         """
         before, self.content = self.content, content
         with self._server.atomic():
-            if content.frame is not None and (content.key != before.key or content.reset_camera):
-                self._look_from(content.frame)
+            if content.frame is not before.frame and content.frame is not None:
+                self._ground = find_ground(content.frame.cloud.xyz_m, scene_up(content.frame))
+                if content.key != before.key:
+                    self._reach_m = scene_reach_m(content.frame)
+                lines, colors = guide_lines(content.frame, self._ground, self._reach_m)
+                self._lines(GUIDES, lines, _light(colors), HAIR_PX)
+            if content.frame is None:
+                self._remove(GUIDES)
+            look = Look.START if content.key != before.key else content.look
+            if content.frame is not None and look is not None:
+                self._look(look, content.frame)
             counts = self._show_cloud(before)
             self._show_boxes()
             self._show_selected(hold_gizmo)
@@ -109,23 +119,27 @@ class Scene:
         if frame is None:
             self._remove(CLOUD)
             return 0, 0
-        if frame is not before.frame or content.most_points != before.most_points:
+        if frame is not before.frame or content.points_key != before.points_key:
             # sent as one message, since the browser creates new buffers for it anyway
-            points = self._points = shown_points(frame, content.most_points)
-            self._point_size_m = point_size_m(points, len(frame.cloud))
+            wanted = wanted_points(content, self._ground)
+            points = self._points = shown_points(wanted, content.most_points)
+            if len(points) == 0:
+                self._remove(CLOUD)
+                return 0, len(frame.cloud)
+            self._point_size_m = point_size_m(frame, len(points) / max(len(wanted), 1))
             self._api.add_point_cloud(
                 CLOUD,
                 points.xyz_m,
-                point_colors(points, content.color, scene_up(frame)),
+                point_colors(points, content.color, self._ground, content.boxes),
                 point_size=self._point_size_m * content.point_size,
                 point_shape="square",
                 point_shading="flat",
                 precision="float32",
             )
-        else:
+        elif len(self._points):
             cloud: Any = self._api.get_handle_by_name(CLOUD)
-            if content.color is not before.color:
-                cloud.colors = point_colors(self._points, content.color, scene_up(frame))
+            if content.colors_key != before.colors_key:
+                cloud.colors = point_colors(self._points, content.color, self._ground, content.boxes)
             cloud.point_size = self._point_size_m * content.point_size
         return len(self._points), len(frame.cloud)
 
@@ -133,39 +147,46 @@ class Scene:
 
     def _show_boxes(self) -> None:
         """Draws all boxes except the selected one as one set of lines."""
-        selected = self.selected
-        rest = [shown for shown in self.content.boxes if shown is not selected]
+        selected = self.content.selected_box
+        is_alone = self.content.only_selected and selected is not None
+        rest = [] if is_alone else [shown for shown in self.content.boxes if shown is not selected]
         if not rest:
             self._remove(BOXES)
             return
         lines = [placed_box_lines(shown.box) for shown in rest]
         colors = [
-            np.broadcast_to(_light(STATE_COLORS[shown.state]), part.shape)
+            np.broadcast_to(_light(shown.color or STATE_COLORS[shown.state]), part.shape)
             for shown, part in zip(rest, lines, strict=True)
         ]
         self._lines(BOXES, np.concatenate(lines), np.concatenate(colors), THIN_PX)
 
     def _show_selected(self, hold_gizmo: bool) -> None:
-        selected, mode = self.selected, self.content.gizmo
+        selected, mode = self.content.selected_box, self.content.gizmo
         if selected is None:
             if self._gizmo is not None:
                 self.gizmo.visible = False
             return
         gizmo = self.gizmo
-        self._lines(
-            SELECTED_LINES, box_lines(selected.box.size_m), _light(_brighter(STATE_COLORS[selected.state])), THICK_PX
-        )
-        gizmo.scale = max(GIZMO_SHARE * float(selected.box.size_m.max()), GIZMO_LEAST_M)
         gizmo.disable_axes = gizmo.disable_sliders = mode is not Gizmo.TRANSLATE
         gizmo.disable_rotations = mode is not Gizmo.ROTATE
         if not hold_gizmo:
-            gizmo.position = selected.box.center_m
-            gizmo.wxyz = selected.box.T_camera_box.rotation.as_quat(scalar_first=True)
+            self.place_selected(selected.box)
         gizmo.visible = True
+
+    def place_selected(self, box: OrientedBox) -> None:
+        """Draws the selected box, with its gizmo and handles, as this one."""
+        selected, gizmo = self.content.selected_box, self.gizmo
+        assert selected is not None
+        color = _light(_brighter(selected.color or STATE_COLORS[selected.state]))
+        self._lines(SELECTED_LINES, box_lines(box.size_m), color, THICK_PX)
+        gizmo.scale = max(GIZMO_SHARE * float(box.size_m.max()), GIZMO_LEAST_M)
+        gizmo.position = box.center_m
+        gizmo.wxyz = box.T_camera_box.rotation.as_quat(scalar_first=True)
+        self._faces.show(box.size_m if self.content.gizmo is Gizmo.FACES else None)
 
     def gizmo_box(self) -> OrientedBox | None:
         """The selected box at the pose of the gizmo; None without a selection."""
-        selected = self.selected
+        selected = self.content.selected_box
         if selected is None or self._gizmo is None:
             return None
         rotation = Rotation.from_quat(np.asarray(self._gizmo.wxyz, np.float64), scalar_first=True)
@@ -223,15 +244,28 @@ class Scene:
         if handle is not None:
             handle.remove()
 
-    def _look_from(self, frame: Frame) -> None:
-        up, (position, look_at) = scene_up(frame), initial_camera(frame)
-        self._api.set_up_direction(up)
-        initial = self._server.initial_camera
-        initial.fov = np.deg2rad(60.0)
-        initial.up, initial.position, initial.look_at = up, position, look_at
+    def _look(self, look: Look, frame: Frame) -> None:
+        """Moves the viewers, and where new ones begin."""
+        selected = self.content.selected_box
+        box, ahead = None if selected is None else selected.box, np.array([0.0, 0.0, 1.0])
+        first = stand(look, frame, self._ground, box, ahead, 1.5)
+        if first is None:
+            return
+        if look is Look.START:
+            self._api.set_up_direction(first.up)
+            _move(self._server.initial_camera, "up", first)
         for client in self._server.get_clients().values():
+            camera = client.camera
+            gaze = np.asarray(camera.look_at) - camera.position
+            gaze = gaze / max(float(np.linalg.norm(gaze)), 1e-6)
             with client.atomic():
-                client.camera.up_direction, client.camera.position, client.camera.look_at = up, position, look_at
+                _move(camera, "up_direction", stand(look, frame, self._ground, box, gaze, camera.aspect) or first)
+
+
+def _move(camera: viser.CameraHandle | viser.InitialCameraConfig, up: str, to: Stand) -> None:
+    """Moves a viewer; `up` is the name of that attribute, which the two classes call differently."""
+    setattr(camera, up, to.up)
+    camera.fov, camera.position, camera.look_at = to.fov_rad, to.position_m, to.look_at_m
 
 
 def _brighter(color: tuple[int, int, int]) -> tuple[int, int, int]:
@@ -239,7 +273,7 @@ def _brighter(color: tuple[int, int, int]) -> tuple[int, int, int]:
     return red, green, blue
 
 
-def _light(color: tuple[int, int, int]) -> UInt8[np.ndarray, "3"]:
+def _light(color: tuple[int, int, int] | UInt8[np.ndarray, "*k 3"]) -> UInt8[np.ndarray, "*k 3"]:
     """An sRGB colour as linear light, which the browser's line shader expects."""
     return np.round(255 * (np.array(color) / 255) ** 2.2).astype(np.uint8)
 

@@ -6,7 +6,7 @@ import logging
 import secrets
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,12 +18,14 @@ from starlette.responses import Response
 
 from annotator.project import Project
 from annotator.project.overview import read_page
-from annotator.types import BoxKind, Label, ReviewState
+from annotator.types import BoxKind, Label, OrientedBox, ReviewState
 from annotator.types.errors import NotFoundError
 from annotator.web.background import Periodic
 from annotator.web.context import Ctx, Operator
 from annotator.web.schemas import MOST_BOXES, Axes, Box2DJson, Box3DJson, ClassName, RowId, Schema, Uid
 from annotator.web.viewport.drawing import MOST_POINTS, Draft, Gizmo, PointColor, SceneContent, ShownBox, pick
+from annotator.web.viewport.faces import moved_face
+from annotator.web.viewport.guides import Look
 from annotator.web.viewport.scene import Scene
 from annotator.web.viewport.viser_page import ViserPage, forward_http, forward_socket
 from annotator.workflows.workbench.drawing_steps import label_object
@@ -63,11 +65,12 @@ class Viewport(ViserPage):
         self._send = send
         self._lock = threading.Lock()
         self._dragged_s: float | None = None
-        self._scene = Scene(self._server, self._gizmo_moved)
+        self._grabbed: tuple[OrientedBox, int, np.ndarray] | None = None
+        self._scene = Scene(self._server, self._gizmo_moved, self._face_dragged)
         self._server.scene.on_click()(self._clicked)
 
     def show(self, content: SceneContent) -> tuple[int, int]:
-        """As `Scene.show`. While an operator drags the gizmo, the selected box stays at the gizmo."""
+        """As `Scene.show`. While an operator drags the selected box, it stays where it is dragged."""
         with self._lock:
             self.used_s = time.monotonic()
             dragged = self._dragged_s is not None and time.monotonic() - self._dragged_s < DRAG_ENDS_S
@@ -85,10 +88,30 @@ class Viewport(ViserPage):
     async def _gizmo_moved(self, event: viser.TransformControlsEvent) -> None:
         # a coroutine: viser runs coroutines in order on its event loop, but plain functions in a pool in any order
         with _logged("a move of the gizmo"):
-            self._dragged_s = None if event.phase == "end" else time.monotonic()
-            box, selected = self._scene.gizmo_box(), self._scene.selected
-            if event.phase != "start" and box is not None and selected is not None:
-                self.send("box", uid=selected.uid, box=Box3DJson.of(box).model_dump(), final=event.phase == "end")
+            box = self._scene.gizmo_box()
+            if box is not None:
+                self._dragged(event.phase, box)
+
+    async def _face_dragged(self, event: viser.SceneNodeDragEvent[viser.BatchedMeshHandle]) -> None:
+        with _logged("a drag of a face"):
+            selected = self._scene.content.selected_box
+            if event.phase == "start" and selected is not None and event.instance_index is not None:
+                self._grabbed = selected.box, event.instance_index, np.array(event.start_position)
+            if self._grabbed is None or selected is None:
+                return
+            eye_m = np.array(event.client.camera.position)
+            before, face, at_m = self._grabbed
+            box = moved_face(before, face, eye_m, at_m, np.array(event.end_position))
+            with self._lock:
+                self._scene.place_selected(box)
+            self._dragged(event.phase, box)
+
+    def _dragged(self, phase: str, box: OrientedBox) -> None:
+        """The operator drags the selected box to this one."""
+        self._dragged_s = None if phase == "end" else time.monotonic()
+        selected = self._scene.content.selected_box
+        if phase != "start" and selected is not None:
+            self.send("box", uid=selected.uid, box=Box3DJson.of(box).model_dump(), final=phase == "end")
 
     def send(self, event: str, **fields: object) -> None:
         self.used_s = time.monotonic()
@@ -190,6 +213,7 @@ async def _viewports(connection: HTTPConnection) -> Viewports:
 
 
 OpenViewports = Annotated[Viewports, Depends(_viewports)]
+Colour = Annotated[str, Field(pattern="^#[0-9a-f]{6}$")]
 ViewportId = Annotated[str, Field(pattern="^[0-9a-f]{16}$")]
 
 
@@ -227,7 +251,8 @@ class SceneRequest(Schema):
     """The content of a viewport. Omitted fields take their defaults, so each request is complete.
 
     `previews` are unstored boxes. `point_size` is a factor of the default size, which depends on the cloud's distance.
-    `reset_view` resets the viewport's camera.
+    `colors` are those of boxes, #rrggbb by uid; others have that of their state. `hide_ground` and `most_height` (above
+    the ground, metres) leave out points, `only_selected` also other boxes. `look` moves the viewer.
     """
 
     frame: RowId | None
@@ -238,7 +263,11 @@ class SceneRequest(Schema):
     point_size: Annotated[float, Field(ge=0.05, le=20, allow_inf_nan=False)] = 1.0
     color: PointColor = PointColor.RGB
     most_points: Annotated[int, Field(ge=1000, le=MOST_POINTS)] = MOST_POINTS
-    reset_view: bool = False
+    colors: Annotated[dict[Uid, Colour], Field(default_factory=dict, max_length=MOST_BOXES)]
+    hide_ground: bool = False
+    most_height: Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)] | None = None
+    only_selected: bool = False
+    look: Look | None = None
 
 
 class SceneAnswer(Schema):
@@ -302,24 +331,34 @@ def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> S
     return SceneContent(
         key=(project.path.name, page.frame.recording_id),
         frame=opened.frame,
-        boxes=_boxes(labels, body.previews),
+        boxes=_boxes(labels, body.previews, body.colors),
         selected=body.selected,
         gizmo=body.gizmo,
         draft=None if body.draft is None else _draft(project, opened, body.draft),
         color=body.color,
         most_points=body.most_points,
         point_size=body.point_size,
-        reset_camera=body.reset_view,
+        hide_ground=body.hide_ground,
+        most_height_m=body.most_height,
+        only_selected=body.only_selected,
+        look=body.look,
     )
 
 
-def _boxes(labels: Sequence[Label], previews: Sequence[PreviewJson]) -> tuple[ShownBox, ...]:
+def _boxes(labels: Sequence[Label], previews: Sequence[PreviewJson], colors: Mapping[str, str]) -> tuple[ShownBox, ...]:
     """The stored boxes and the previews, which replace the boxes with their uids."""
-    shown = {label.uid: ShownBox(label.uid, label.box, label.state) for label in labels}
+    shown = {label.uid: (label.box, label.state) for label in labels}
     for preview in previews:
-        state = shown[preview.uid].state if preview.uid in shown else ReviewState.PROPOSED
-        shown[preview.uid] = ShownBox(preview.uid, preview.box.box(), state)
-    return tuple(shown.values())
+        _, state = shown.get(preview.uid, (None, ReviewState.PROPOSED))
+        shown[preview.uid] = preview.box.box(), state
+    return tuple(ShownBox(uid, box, state, _rgb(colors.get(uid))) for uid, (box, state) in shown.items())
+
+
+def _rgb(color: str | None) -> tuple[int, int, int] | None:
+    if color is None:
+        return None
+    red, green, blue = bytes.fromhex(color[1:])
+    return red, green, blue
 
 
 def _draft(project: Project, opened: OpenFrame, body: DraftJson) -> Draft:

@@ -107,6 +107,73 @@ def test_the_gizmo_of_the_3d_view_moves_the_box(desk_3d: Desk, wait_for) -> None
     np.testing.assert_allclose(after.rotation, box.rotation, atol=1e-6)
 
 
+def test_the_bar_of_the_3d_view_filters_colours_and_moves_the_viewer_and_a_handle_moves_a_face(
+    desk_3d: Desk, wait_for
+) -> None:
+    desk, page = desk_3d, desk_3d.page
+    (bench,) = (one for one in desk.live.server.app.state.viewports._open.values() if one.project == desk.name)
+    note = page.get_by_test_id("viewport-points")
+    expect(note).to_have_text(re.compile(r"^\S+ points$"))
+    desk.press("h")
+    expect(page.get_by_test_id("hide-ground")).to_have_attribute("aria-pressed", "true")
+    expect(note).to_have_text(re.compile(" of "))
+    desk.press("h")
+    expect(note).to_have_text(re.compile(r"^\S+ points$"))
+    page.get_by_test_id("most-height").fill("0")
+    expect(note).to_have_text(re.compile(" of "))
+    page.get_by_test_id("most-height").fill("11")
+    page.get_by_test_id("boxes-color").select_option("class")
+    wait_for(lambda: all(shown.color is not None for shown in bench._scene.content.boxes))
+    desk.press("u")
+    expect(page.get_by_test_id("points-color")).to_have_value("unlabelled")
+    wait_for(lambda: bench._scene.content.color == "unlabelled")
+    desk.press("u")
+    wait_for(lambda: bench._scene.content.color == "rgb")
+
+    box, uid = desk.label.box, desk.uid
+    (client,) = bench._server.get_clients().values()
+    start = np.array(client.camera.position)
+    page.get_by_test_id("look-top").click()
+    up = bench._scene._ground.axes[2]
+    wait_for(
+        lambda: (
+            (client.camera.position - box.center_m) @ up > 0.99 * np.linalg.norm(client.camera.position - box.center_m)
+        )
+    )
+    page.get_by_test_id("look-start").click()
+    wait_for(lambda: np.abs(client.camera.position - start).max() < 1e-3)
+    desk.press("o")
+    wait_for(lambda: np.abs(client.camera.look_at - box.center_m).max() < 1e-3)
+
+    # pulls the handle that faces the viewer, of the axis that is longest on the screen
+    rect = page.get_by_test_id("viewport").bounding_box()
+    assert rect is not None
+
+    def on_screen(axis: int, share: float) -> tuple[float, float]:
+        return seen_by_viewer(bench, rect, box.center_m + share * box.size_m[axis] * box.rotation[:, axis])
+
+    lengths = [np.linalg.norm(np.subtract(on_screen(axis, 0.5), on_screen(axis, 0.0))) for axis in range(3)]
+    axis = int(np.argmax(lengths))
+    sign = np.sign((client.camera.position - box.center_m) @ box.rotation[:, axis])
+    grip, end = on_screen(axis, 0.5 * sign), on_screen(axis, 0.6 * sign)
+    wait_for(lambda: bench._server.scene.get_handle_by_name("/selected/faces") is not None)
+    page.wait_for_timeout(1000)  # until the handles are drawn
+    page.mouse.move(*grip)
+    page.wait_for_timeout(300)
+    page.mouse.down()
+    page.mouse.move(*end, steps=8)
+    expect(page.get_by_test_id("label-state")).to_have_text("not saved")
+    page.mouse.up()
+    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.EDITED)
+    after = desk.project.labels.get(uid).label.box
+    grown = after.size_m - box.size_m
+    assert grown[axis] > 0.02
+    np.testing.assert_allclose(np.delete(grown, axis), 0, atol=1e-9)
+    np.testing.assert_allclose(
+        after.center_m - box.center_m, 0.5 * sign * grown[axis] * box.rotation[:, axis], atol=1e-6
+    )
+
+
 def draw_on_image(desk: Desk, box: dict[str, Any]) -> None:
     drag_box(desk.page, "image-editor", box, 320, 240)
 
@@ -316,7 +383,9 @@ def test_a_click_in_the_top_view_places_a_box_and_a_drag_moves_and_turns_it(desk
 
 
 STARTS_S = 60.0
+# Of the view, the bar above it, and the buttons at its lower edge.
 LEFT, TOP, WIDTH, HEIGHT = 200, 100, 700, 520
+BAR, BUTTONS = 28, 34
 
 # Loads the page's modules without a mode; `told` and `pressed` record the events of `view` and the keys.
 PAGE = """async ([project, left, top, width, height]) => {
@@ -338,7 +407,7 @@ PAGE = """async ([project, left, top, width, height]) => {
   host.append(view.element);
   document.body.append(host);
   window.host = host;
-  window.told = { box: [], select: [], shown: [], state: [] };
+  window.told = { box: [], select: [], state: [] };
   for (const event of Object.keys(told)) view.on(event, (value) => told[event].push(value));
 }"""
 
@@ -346,7 +415,7 @@ PAGE = """async ([project, left, top, width, height]) => {
 def begin(page: Page, room: Project) -> None:
     """Opens the page's modules without a mode."""
     page.goto("/")
-    page.evaluate(PAGE, [room.path.name, LEFT, TOP, WIDTH, HEIGHT])
+    page.evaluate(PAGE, [room.path.name, LEFT, TOP - BAR, WIDTH, HEIGHT + BAR])
 
 
 def show(page: Page, **scene: Any) -> None:
@@ -354,8 +423,8 @@ def show(page: Page, **scene: Any) -> None:
 
 
 def picture(page: Page) -> np.ndarray:
-    """The screenshot of the view, as int RGB."""
-    clip = {"x": LEFT, "y": TOP, "width": WIDTH, "height": HEIGHT}
+    """The screenshot of the view without its buttons, as int RGB."""
+    clip = {"x": LEFT, "y": TOP, "width": WIDTH, "height": HEIGHT - BUTTONS}
     return np.asarray(Image.open(io.BytesIO(page.screenshot(clip=clip))).convert("RGB")).astype(int)
 
 
@@ -388,7 +457,7 @@ def test_the_view_draws_a_cloud_forwards_keys_selects_and_outlives_its_server(
     labels = list(room.labels.of_frame(room.frames.of()[0].id))
     begin(view, room)
     # a held view starts when it is let go
-    view.evaluate("() => { view.show({ frame: 1, reset_view: true }); window.release = view.hold(); }")
+    view.evaluate("() => { view.show({ frame: 1, look: 'start' }); window.release = view.hold(); }")
     until(view, "view.id !== null", STARTS_S)
     assert frames.count() == 0
     view.evaluate("release()")

@@ -274,7 +274,7 @@ def test_a_whole_track_changes_once_the_page_has_told_what_that_changes(desk: De
         desk.settled()
 
     show(desk, 2, uids[2])
-    desk.press("h")
+    desk.press("e")
     answer("changes 3 boxes to number 8, 1 of them reviewed")
     assert numbers() == [7, 7, 8, 8, 8]
     expect(page.get_by_test_id("field-track")).to_have_value("8")

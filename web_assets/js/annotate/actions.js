@@ -68,7 +68,6 @@ export function createActions(host, act) {
     refit,
     turn,
     h("span", { class: "divider" }),
-    gizmo,
     h("div", { class: "segments", role: "group", "aria-label": "Views of the object" }, views),
     h("span", { class: "grow" }),
     draw,
@@ -78,6 +77,8 @@ export function createActions(host, act) {
   );
 
   return {
+    /** For the bar above the 3D view. */
+    gizmo,
     /**
      * @param {{ label: PageLabel | null, frame: FrameState | null, gizmoMode: Api.Gizmo, busy: boolean,
      *     isDrawing: boolean, isMoreOpen: boolean, isTeaching: boolean, canAccept: boolean }} shown isMoreOpen: there

@@ -10,7 +10,7 @@
 
 import { createAttributes } from "../attributes.js";
 import { askClass } from "../classes/picker.js";
-import { h } from "../dom.js";
+import { button, h } from "../dom.js";
 import { createFrameProblem } from "../frame_problem.js";
 import { showHints } from "../messages.js";
 import { createActions } from "./actions.js";
@@ -101,7 +101,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     onMode: () => showActions(),
     canDraw: () => commands.canDraw(),
   });
-  const scene = createScene(parts.scene, app, desk, { teach: () => teach, onMap: () => turnMap(true) });
+  const scene = createScene(parts.scene, app, desk, () => teach);
   const map = createMap(parts.map, app, desk, {
     onPlace: (point) => commands.placeAt(point),
     onClose: () => turnMap(false),
@@ -159,6 +159,12 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     follow: () => commands.followOne("forward"),
     teach: teach.turn,
   });
+  const topView = button(["Top view", h("kbd", {}, "M")], () => turnMap(true), {
+    class: "quiet small",
+    title: "A map: click to place a box, drag to move it (M)",
+    "data-testid": "show-map",
+  });
+  parts.sceneHead.append(h("h2", {}, "3D view"), actions.gizmo, h("span", { class: "grow" }), topView);
 
   // -- showing
 
@@ -283,7 +289,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
         opening,
         tracks,
         sheet,
-        scene,
         image,
         ortho,
         teach,
@@ -362,6 +367,8 @@ export function layout() {
   const classes = part("next-class", "Class of the next box");
   const imagePanel = part("image", "Camera image");
   const scene = part("scene", "3D view");
+  const sceneHead = h("header", {});
+  scene.append(sceneHead);
   const map = part("scene", "Top view");
   const ortho = h("div", { class: "orthos", "data-testid": "orthos" });
   const object = h("div", { class: "object" }, ortho);
@@ -387,6 +394,7 @@ export function layout() {
     classes,
     image: imagePanel,
     scene,
+    sceneHead,
     map,
     object,
     ortho,
@@ -417,7 +425,6 @@ export function emptyProject(/** @type {string} */ name) {
  * @param {Opening} parts.opening
  * @param {ReturnType<typeof import("./tracks.js").createTracks>} parts.tracks
  * @param {ReturnType<typeof import("./sheet.js").createSheet>} parts.sheet
- * @param {ReturnType<typeof import("./scene.js").createScene>} parts.scene
  * @param {ReturnType<typeof import("./image_panel.js").createImagePanel>} parts.image
  * @param {ReturnType<typeof import("./ortho_views.js").createOrthoViews>} parts.ortho
  * @param {Teach} parts.teach
@@ -432,7 +439,6 @@ export function bindings({
   opening,
   tracks,
   sheet,
-  scene,
   image,
   ortho,
   teach,
@@ -484,8 +490,6 @@ export function bindings({
     "gizmo-translate": () => setGizmo("translate"),
     "gizmo-rotate": () => setGizmo("rotate"),
     "gizmo-off": () => setGizmo("off"),
-    "points-larger": () => scene.points(1.25),
-    "points-smaller": () => scene.points(0.8),
     fit: () => {
       image.fit();
       map.fit();

@@ -37,7 +37,7 @@ export function copiedText(/** @type {PageLabel[]} */ copies) {
 export const OPERATIONS = {
   split: {
     text: "Split here",
-    key: "H",
+    key: "E",
     title: (track) => `Split track ${track} here`,
     help: "The boxes from this frame on get a new number.",
     span: (_timeline, _track, frame) => ({ from: frame, to: null }),
