@@ -171,7 +171,7 @@ export function viewsMessage(/** @type {Draft | null} */ draft, /** @type {numbe
   if (draft?.steps[step]) return null;
   if (step === 1) {
     if (!draft?.steps.length) return "";
-    return draft.stop ?? "Two more views appear here once both boxes above are drawn.";
+    return draft.stop ?? "Two more views appear here once both boxes are drawn.";
   }
   if (!draft) return "An object's views appear here once you have drawn its box on the image.";
   return draft.stop ?? (draft.isLoading ? "Looking for the object …" : "");
