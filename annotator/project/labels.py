@@ -23,11 +23,11 @@ from annotator.project.classes.values import is_kept, labels_of_tracks
 from annotator.project.database.schema import ALL_LABELS, LABELS_OF_MOMENT, AnyRow, frames, labels
 from annotator.project.log import Writer, new_action
 from annotator.project.recordings import of_rig
-from annotator.project.records import OWN, BoxRecord, SaidRecord, storable, suggestion_of
+from annotator.project.records import OWN, BoxRecord, storable, suggestion_of
 from annotator.project.rows import Names, Place, Terms, box_2d_of, box_of, said_in, values_of
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source
 from annotator.types.errors import NotFoundError
-from annotator.types.label import AttributeValue
+from annotator.types.label import AttributeValue, Said
 
 REVIEWED = (ReviewState.ACCEPTED, ReviewState.EDITED)
 
@@ -53,7 +53,7 @@ class StoredLabel:
     origin: Origin | None = None
     image_box: Box2D | None = None
     track_linked: bool = False
-    said: tuple[SaidRecord, ...] = ()
+    said: tuple[Said, ...] = ()
 
     @property
     def is_own(self) -> bool:
@@ -282,7 +282,7 @@ def stored_labels(
     )
 
 
-def certainty(said: SaidRecord) -> tuple[float, bool]:
+def certainty(said: Said) -> tuple[float, bool]:
     """The order of what sources say of an object, the surest first; a box without a score counts as sure."""
     return -1.0 if said.score is None else -said.score, said.source == OWN
 
@@ -317,7 +317,7 @@ def _stored_label(row: AnyRow, behind: tuple[AnyRow, ...], frame_id: int, names:
     )
 
 
-def _said(row: AnyRow, behind: Sequence[AnyRow], names: Names, place: Place) -> tuple[SaidRecord, ...]:
+def _said(row: AnyRow, behind: Sequence[AnyRow], names: Names, place: Place) -> tuple[Said, ...]:
     own = [row] if row.of_source is not None else []
     return tuple(sorted((said_in(each._mapping, names, place) for each in (*own, *behind)), key=certainty))
 

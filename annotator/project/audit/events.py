@@ -155,14 +155,25 @@ def insert_event(connection: Connection, event: Event) -> Event:
 
 
 def rows_json(rows: Sequence[RowChange]) -> str:
-    """Changed rows as they are stored."""
-    listed = [(row.table, row.key, row.before, row.after) for row in rows]
+    """Changed rows as they are stored; a whole row without the columns that have no value."""
+
+    def short(row: RowChange, state: Row | None) -> Row | None:
+        return state if state is None or row.is_update else {name: v for name, v in state.items() if v is not None}
+
+    listed = [(row.table, row.key, short(row, row.before), short(row, row.after)) for row in rows]
     return json.dumps(listed, ensure_ascii=False, separators=(",", ":"))
 
 
 def rows_of(content: str) -> tuple[RowChange, ...]:
     """The changed rows of an event."""
-    return parsed(lambda text: tuple(RowChange(*row) for row in json.loads(text)), content)
+    return parsed(lambda text: tuple(_changed_row(*row) for row in json.loads(text)), content)
+
+
+def _changed_row(table: str, key: Key, before: Row | None, after: Row | None) -> RowChange:
+    if (before is None) is not (after is None):
+        columns = dict.fromkeys(columns_of(table))
+        before, after = (None if state is None else columns | state for state in (before, after))
+    return RowChange(table, key, before, after)
 
 
 def read_events(connection: Connection, query: Select[Any] | None = None, after: int = 0) -> Iterator[Event]:

@@ -25,11 +25,11 @@ from annotator.project.changes import (
 from annotator.project.classes.attributes import Attribute, AttributeOf, fitting
 from annotator.project.classes.values import Values, after_edit, checked, new_values, of_tracks
 from annotator.project.database.schema import columns_of
-from annotator.project.records import OWN, SaidRecord, suggestion_json
-from annotator.project.rows import Row, number_or_none, values_json, values_of
+from annotator.project.records import OWN, suggestion_json
+from annotator.project.rows import Row, number_or_none, said_json, values_json, values_of
 from annotator.types import Proposal, ReviewState, Source
 from annotator.types.errors import ProjectError
-from annotator.types.label import AttributeValue
+from annotator.types.label import AttributeValue, Said
 
 
 def make(write: Write, payload: Payload) -> None:
@@ -103,26 +103,29 @@ def new_label(write: Write, uid: str, label: str, **values: Any) -> Row:
     return row | write.author | values
 
 
-def said_row(write: Write, said: SaidRecord, **columns: Any) -> Row:
-    """The row of an open proposal that a source has made."""
+def put_said(write: Write, said: Said, behind: str | None = None) -> Row:
+    """Puts the row of an open proposal that a source has made; returns it."""
     is_ours = said.source == OWN
-    write.class_id(said.label)  # its words name it by id, too
+    values = fitting(write.terms.attributes_of(said.label), said.attributes) if said.attributes else {}
     row = new_label(
         write,
         write.new_uid(),
         said.label,
-        box=write.terms.box_json(said.box, write.frame_id),
+        box=write.box_json(said.box),
         score=said.score,
         state=ReviewState.PROPOSED.value,
         source=(Source.AUTO if is_ours else Source.IMPORTED).value,
         author=said.source,
         track_id=said.track_id,
         box_kind=said.box_kind.value,
-        attributes=values_json(said.attributes),
-        said=None if is_ours else write.terms.said_json(said, write.frame_id),
+        attributes=values_json(values),
+        behind=behind,
         of_source=None if is_ours else said.source,
     )
-    return row | columns
+    if said.file_track_id is not None and not is_ours:
+        row["said"] = said_json(row, said.file_track_id)
+    write.put("labels", row["uid"], row)
+    return row
 
 
 def _found(write: Write, proposal: Proposal) -> Row:
@@ -164,10 +167,8 @@ def _create(write: Write, payload: NewLabel, run: int | None = None) -> None:
     of_track = _values_of_tracks(write, [payload.track_id]).get(payload.track_id, {})
     row["attributes"] = values_json(new_values(of_label, of_track, given))
     write.put("labels", payload.uid, row)
-    for each in payload.said:
-        said = each if isinstance(each, SaidRecord) else SaidRecord.of(each)
-        behind = said_row(write, said, behind=payload.uid)
-        write.put("labels", behind["uid"], behind)
+    for said in payload.said:
+        put_said(write, said, payload.uid)
 
 
 def _replace_proposals(write: Write, payload: ProposalsReplaced) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sqlite3
-import uuid
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,7 +24,7 @@ from annotator.project.classes.values import is_kept
 from annotator.project.database.schema import columns_of, packed
 from annotator.project.database.store import Store, driver_of
 from annotator.project.records import BoxRecord
-from annotator.project.rows import Row, Terms
+from annotator.project.rows import Row, Terms, new_uid, with_words
 from annotator.types import OrientedBox, ReviewState, Source
 from annotator.types.errors import HistoryError, NotFoundError, ProjectError, TrackTakenError
 from annotator.types.messages import alternatives
@@ -136,6 +135,9 @@ class Write:
     def put(self, table: str, key: Key, after: Row | None) -> None:
         """Puts a row in the place of the present one; None removes it."""
         before = self.row(table, key)
+        # a change of the classes changes what sources say, too
+        if table == "labels" and before is not None and after is not None and self.frame_id is not None:
+            after = with_words(before, after)
         if (change := changed_row(table, key, before, after)) is not None:
             self._now[table, key] = after
             self._rows.append(change)
@@ -204,7 +206,7 @@ class Write:
 
     def new_uid(self) -> str:
         """The uid of a label that is not there yet."""
-        uid = uuid.uuid4().hex
+        uid = new_uid()
         self._now["labels", uid] = None
         return uid
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -190,7 +191,7 @@ def near(dataset: LabelSet, name: str, read: Callable[[], Sequence[Truth]]) -> S
     try:
         truths = read()
         for truth in truths:
-            away_m = float(np.linalg.norm(truth.box.center_m))
+            away_m = math.hypot(*truth.box.pose[:3, 3].tolist())
             if away_m > FARTHEST_BOX_M:
                 raise ValueError(
                     f"a box of {truth.label} is {away_m / 1000:,.0f} km from the camera: its coordinates are a map's, "
