@@ -239,13 +239,9 @@ def said_in(row: Mapping[str, Any], names: Names, place: Place) -> Said:
     """What the source of a box says, in its own words; ours says what its row has."""
     if row["of_source"] is not None and row["said"] is not None:
         stored = stored_said(row["said"])
-        box = _placed(stored.box.box(), place)
-        return replace(
-            stored.said(box),
-            label=parsed(_by_text(names).__getitem__, stored.label),
-            attributes=stored.attributes,
-            file_track_id=stored.file_track_id,
-        )
+        label, more = parsed(_by_text(names).__getitem__, stored.label), stored.file_track_id
+        said = stored.said(_placed(stored.box.box(), place))
+        return replace(said, label=label, attributes=stored.attributes, file_track_id=more)
     return Said(
         row["of_source"] or OWN,
         _by_text(names)[str(row["class_id"])],

@@ -146,7 +146,7 @@ def told(write: Write, source: str, boxes: Sequence[NewLabel]) -> tuple[list[Tol
     found = [(row, _words(write, row)) for row in waiting if row["of_source"] != source]
     for box, is_new in zip(boxes, is_open, strict=True):
         if is_new:
-            more = box.score, box.track_id, box.box_kind, box.attributes, box.file_track_id
+            more = box.score, box.track_id, box.box_kind, dict(box.attributes), box.file_track_id
             said = Said(source, box.label, box.box, *more)
             found.append((put_said(write, said), said))
     return found, is_open
@@ -229,15 +229,13 @@ def _with_values(
     if said.source == OWN and not borrowed and row["said"] is None:
         return {}
     values = new_values(of_label, of_track, fitting(of_label, said.attributes) | borrowed)
-    return _values_columns(row, said, values, keep=bool(borrowed))
+    return _values_columns(row, said, values)
 
 
-def _values_columns(row: Row, said: Said, given: Values, *, keep: bool = False) -> Row:
-    """The columns of a box with values that it is given; of ours, its own words are kept only if it borrows some."""
+def _values_columns(row: Row, said: Said, given: Values) -> Row:
+    """The columns of a box with values that it is given, which may be others than its source says."""
     text: str | None = row["said"]
-    if said.source == OWN:
-        text = said_with(said_json(row), said.attributes, given) if keep else None
-    elif text is not None or given != said.attributes:
+    if text is not None or given != said.attributes:
         text = said_with(said_json(row) if text is None else text, said.attributes, given)
     return {"attributes": values_json(given), "said": text}
 

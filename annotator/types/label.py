@@ -74,7 +74,7 @@ class Said:
     score: float | None = None
     track_id: int | None = None
     box_kind: BoxKind = BoxKind.BOX
-    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
+    attributes: dict[str, AttributeValue] = field(default_factory=dict)
     file_track_id: int | None = None
 
     def transformed(self, T: RigidTransform) -> Said:

@@ -106,6 +106,8 @@ def new_label(write: Write, uid: str, label: str, **values: Any) -> Row:
 def put_said(write: Write, said: Said, behind: str | None = None) -> Row:
     """Puts the row of an open proposal that a source has made; returns it."""
     is_ours = said.source == OWN
+    if said.score is not None and not 0 <= said.score <= 1:
+        raise ProjectError(f"{write.where}: a score of {said.source} must be in 0..1, not {said.score:g}; scale it")
     values = fitting(write.terms.attributes_of(said.label), said.attributes) if said.attributes else {}
     row = new_label(
         write,

@@ -79,7 +79,7 @@ def of_tracks(
         return found
     for row in connection.execute(labels_of_tracks(frame_id, known)):
         # what a source has lent goes with it
-        for name, value in own_values(row._mapping).items():
+        for name, value in own_values(dict(row._mapping)).items():
             if name in names:
                 found[row.track_id].setdefault(name, value)
     return found
