@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import random
 import time
 from collections.abc import Iterable, Mapping
@@ -272,13 +271,8 @@ def _values(content: str) -> dict[str, AttributeValue]:
 
 def values_json(values: Mapping[str, AttributeValue]) -> str:
     """Values as they are stored; equal values give equal texts."""
-    return _text(values, sort_keys=True) if values else "{}"
+    return _text(values) if values else "{}"
 
 
-def _text(content: Mapping[str, Any], *, sort_keys: bool = False) -> str:
-    return json.dumps(dict(content), sort_keys=sort_keys, ensure_ascii=False, separators=(",", ":"))
-
-
-def number_or_none(value: float | None) -> float | None:
-    """A number as it is stored: SQLite has NULL for NaN."""
-    return None if value is None or math.isnan(value) else float(value)
+def _text(content: Mapping[str, Any]) -> str:
+    return json.dumps(dict(content), sort_keys=True, ensure_ascii=False, separators=(",", ":"))

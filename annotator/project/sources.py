@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,26 +19,19 @@ from annotator.project.database.store import Store, driver_of
 from annotator.project.labels import certainty
 from annotator.project.records import OWN
 from annotator.project.rows import Row, said_in, said_json, said_with, values_json
-from annotator.types import Label, OrientedBox, Proposal, ReviewState
+from annotator.types import Label, Proposal, ReviewState, Truth
 from annotator.types.label import AttributeValue, Said
 
 # Minimum exact 3D IoU at which two boxes count as the same object.
 SAME_OBJECT_IOU = 0.5
 
 
-class Staying(NamedTuple):
-    """A label that an import does not replace; camera frame."""
-
-    uid: str
-    label: str
-    box: OrientedBox
+Staying = TypeVar("Staying", bound=Truth)
 
 
-def covered_by(
-    proposals: Sequence[Proposal | Label | NewLabel], reviewed: Iterable[Label | Staying]
-) -> list[str | None]:
-    """For each proposal, the uid of the reviewed label of its class with the greatest 3D IoU, if 0.5 or more."""
-    covering: list[str | None] = [None] * len(proposals)
+def covered_by(proposals: Sequence[Proposal | Label | NewLabel], reviewed: Iterable[Staying]) -> list[Staying | None]:
+    """For each proposal, the reviewed label of its class with the greatest 3D IoU, if 0.5 or more."""
+    covering: list[Staying | None] = [None] * len(proposals)
     labels = list(reviewed)
     for name in {label.label for label in labels}:
         indices = [index for index, proposal in enumerate(proposals) if proposal.label == name]
@@ -49,7 +42,7 @@ def covered_by(
         for index, row in zip(indices, iou, strict=True):
             best = int(np.argmax(row))
             if row[best] >= SAME_OBJECT_IOU:
-                covering[index] = candidates[best].uid
+                covering[index] = candidates[best]
     return covering
 
 
@@ -135,14 +128,14 @@ def told(write: Write, source: str, boxes: Sequence[NewLabel]) -> tuple[list[Tol
     """All open proposals of a frame, with new ones of a source in place of its earlier ones; which boxes are such."""
     terms, waiting = write.terms, write.open_proposals()
     staying = [
-        Staying(row["uid"], terms.names[row["class_id"]], terms.box(row["box"], write.frame_id))
+        Truth(terms.names[row["class_id"]], terms.box(row["box"], write.frame_id))
         for row in _others(write, {row["uid"] for row in waiting})
         if row["behind"] is None
     ]
     for row in waiting:
         if row["of_source"] == source:
             write.put("labels", row["uid"], None)
-    is_open = tuple(uid is None for uid in covered_by(boxes, staying))
+    is_open = tuple(cover is None for cover in covered_by(boxes, staying))
     found = [(row, _words(write, row)) for row in waiting if row["of_source"] != source]
     for box, is_new in zip(boxes, is_open, strict=True):
         if is_new:

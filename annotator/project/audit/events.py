@@ -60,11 +60,6 @@ class RowChange:
             return changed_row(self.table, self.key, before, after) or RowChange(self.table, self.key, {}, {})
         return RowChange(self.table, self.key, before, after)
 
-    @property
-    def is_nothing(self) -> bool:
-        """Whether the row is as before."""
-        return self.before == self.after
-
 
 def changed_row(table: str, key: Key, before: Row | None, after: Row | None) -> RowChange | None:
     """The change of a whole row to another; None if they are equal."""
@@ -82,7 +77,7 @@ def as_one(changes: Iterable[RowChange]) -> list[RowChange]:
     for each in changes:
         place = each.table, each.key
         found[place] = found[place].then(each) if place in found else each
-    return [each for each in found.values() if not each.is_nothing]
+    return [each for each in found.values() if each.before != each.after]
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -85,6 +84,7 @@ class Write:
         frame_id: None for a view without a frame, and for the classes.
         where: names it in messages.
         terms: of the transaction.
+        found: by an automatic pass, to keep in the place of what the one before has; None = it is no pass.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class Write:
         self._knows_all = False
         self._rows: list[RowChange] = []
         self._events: list[tuple[str, str | None, tuple[RowChange, ...]]] = []
-        self._pass: str | None = None
+        self.found: str | None = None
         self._boxes = dict[OrientedBox, str]()
         # frames whose labels or values a change of the classes has changed
         self._stale = set[int]()
@@ -161,19 +161,15 @@ class Write:
         """Takes a row that was read within the transaction."""
         self._now.setdefault((table, key), row)
 
-    def know_all(self, rows: Iterable[Row]) -> None:
-        """Takes the rows of all labels of the moment, read within the transaction."""
-        for row in rows:
-            self.know("labels", row["uid"], row)
-        self._knows_all = True
-
     def labels(self) -> list[Row]:
         """The rows of all labels of the frame's moment, in the order of their creation."""
         if not self._knows_all:
             columns = columns_of("labels")
             query = f"SELECT {', '.join(columns)} FROM labels WHERE moment_id = ? AND (hidden = 0 OR frame_id = ?)"
             found = driver_of(self.connection).execute(query, (self.moment_id, self.frame_id)).fetchall()
-            self.know_all(dict(zip(columns, values, strict=True)) for values in found)
+            for row in (dict(zip(columns, values, strict=True)) for values in found):
+                self.know("labels", row["uid"], row)
+            self._knows_all = True
         now = [row for (table, _), row in self._now.items() if table == "labels" and row is not None]
         return sorted((row for row in now if row["moment_id"] == self.moment_id), key=lambda row: int(row["id"]))
 
@@ -232,10 +228,6 @@ class Write:
         self._events.append((kind, view, tuple(as_one(self._rows))))
         self._rows = []
 
-    def keep_pass(self, content: str) -> None:
-        """Keeps what an automatic pass has found in the place of what the one before has."""
-        self._pass = content
-
     def finish(self) -> Receipt:
         """Stores the rows and the events.
 
@@ -266,8 +258,8 @@ class Write:
             stored.append(insert_event(self.connection, event))
         if stored:
             self._apply(stored)
-        if self._pass is not None:
-            values = (self.frame_id, stored[0].id, packed(self._pass))
+        if self.found is not None:
+            values = (self.frame_id, stored[0].id, packed(self.found))
             self.connection.exec_driver_sql("INSERT OR REPLACE INTO passes VALUES (?, ?, ?)", values)
         return Receipt(tuple(event.id for event in stored), context.revision + len(stored))
 
