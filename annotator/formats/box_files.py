@@ -32,12 +32,12 @@ from pydantic import Field
 
 from annotator.files import TABLE_BYTES, open_text_file
 from annotator.formats.frame_names import LabelledFrame
-from annotator.formats.reading import Angles, AngleUnit, BoundedTrack, faults, finite_number, read_object, write_text
+from annotator.formats.reading import Angles, AngleUnit, faults, finite_number, read_object, write_text
 from annotator.formats.sunrgbd import upright_frame
 from annotator.geometry.oriented_box import box_corners
 from annotator.text import normal
 from annotator.types import OrientedBox, Truth
-from annotator.types.bases import FileRecord
+from annotator.types.bases import FileRecord, TrackId
 from annotator.types.boxes import FARTHEST_M
 from annotator.types.errors import FormatError
 
@@ -55,7 +55,7 @@ class BoxEntry(FileRecord):
     size: Vector
     rotation: tuple[Vector, Vector, Vector]
     corners: Annotated[tuple[Vector, ...], Field(min_length=8, max_length=8)] | None = None
-    track: BoundedTrack | None = None
+    track: TrackId | None = None
     score: Number | None = None
     attributes: dict[str, bool | int | Number | str] = Field(default_factory=dict)
 

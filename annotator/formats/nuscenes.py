@@ -73,7 +73,7 @@ from annotator.nuscenes_tables import (
 )
 from annotator.text import normal, stem_of
 from annotator.types import Camera, Label, OrientedBox, PointCloud, Truth
-from annotator.types.bases import FileRecord
+from annotator.types.bases import FileRecord, TrackId
 from annotator.types.errors import FormatError
 
 Vector3 = reading.Bounded3
@@ -97,7 +97,7 @@ class Instance(Record):
 
     category_token: Token
     nbr_annotations: int
-    track_id: reading.BoundedTrack | None = None
+    track_id: TrackId | None = None
 
 
 class SampleAnnotation(Record):

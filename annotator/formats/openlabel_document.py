@@ -27,9 +27,9 @@ from pydantic import Field, StringConstraints, TypeAdapter, ValidationError
 from pydantic_core import to_json
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.reading import Bounded, Bounded3, Bounded4, Exact, SaidRecord, rotation_problem
+from annotator.formats.reading import Bounded, Bounded3, Bounded4, Exact, rotation_problem
 from annotator.types import BoxKind, Camera, OrientedBox
-from annotator.types.bases import FileRecord
+from annotator.types.bases import FileRecord, SaidRecord
 from annotator.types.label import AttributeValue, Said
 from annotator.types.messages import first_problem
 

@@ -21,12 +21,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, Detector, ply
 from annotator.formats.frame_names import LabelledFrame, add_once, in_world
-from annotator.formats.reading import BoundedTrack, SaidRecord, faults, read_model
+from annotator.formats.reading import faults, read_model
 from annotator.geometry.transforms import corners_4x8
 from annotator.image_bytes import JPEG_QUALITY
 from annotator.text import NAME_SHOWN, OutsideError, inside, spelled
 from annotator.types import BoxKind, Camera, Label, OrientedBox, ReviewState, Source, Suggestion, Truth
-from annotator.types.bases import Strict
+from annotator.types.bases import SaidRecord, Strict, TrackId
 from annotator.types.errors import FormatError
 from annotator.types.messages import amount
 
@@ -71,7 +71,7 @@ class RcvObject(RcvBox):
     state: ReviewState
     author: str
     time_ns: int
-    track_id: BoundedTrack | None
+    track_id: TrackId | None
     expected_iou_loss: float | None = Field(None, ge=0, le=1)
     suggestion: Suggestion | None = None
     box_kind: BoxKind = BoxKind.BOX

@@ -27,10 +27,10 @@ from annotator.files import ARCHIVE_ERRORS, DOCUMENT_BYTES, check_file, open_arc
 from annotator.frame_limits import read_frame_file
 from annotator.image_bytes import decode_image, read_image
 from annotator.text import SHOWN, NotTextError, decoded, normal, to_number
-from annotator.types import BoxKind, OrientedBox
+from annotator.types import BoxKind
 from annotator.types.bases import FileRecord
 from annotator.types.errors import FormatError, UnitError, UnitKind
-from annotator.types.label import MOST_TRACK, Said
+from annotator.types.label import MOST_TRACK
 from annotator.types.messages import amount, first_problem
 
 # Programs write angles in radians that they have not normalised: OpenPCDet's KITTI results have rotation_y down to
@@ -333,11 +333,10 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    content: dict[str, object] = {}
-    for key, value in pairs:
-        if key in content:
-            raise KeyError(key)
-        content[key] = value
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise KeyError(next(key for place, key in enumerate(keys) if key in keys[:place]))
     return content
 
 
@@ -402,23 +401,8 @@ MOST = 1e14
 
 Bounded = Annotated[float, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
 BoundedPositive = Annotated[float, Field(gt=0, le=MOST, allow_inf_nan=False)]
-# Track ids; `Exact` is for formats that store every number as a float.
-BoundedTrack = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
+# Of formats that store every number as a float.
 Exact = Annotated[float, Field(ge=-MOST_TRACK, le=MOST_TRACK, allow_inf_nan=False)]
-
-
-class SaidRecord(BaseModel):
-    """What one source of boxes said of an object, without its box, in files that annotator writes."""
-
-    source: str = Field(min_length=1, max_length=200)
-    label: str = Field(min_length=1)
-    score: float | None = Field(None, ge=0, le=1)
-    track_id: BoundedTrack | None = None
-    box_kind: BoxKind = BoxKind.BOX
-
-    def said(self, box: OrientedBox) -> Said:
-        """Returns it with its box."""
-        return Said(self.source, self.label, box, self.score, self.track_id, self.box_kind)
 
 
 class Axes(FileRecord):

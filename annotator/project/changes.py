@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -12,8 +11,10 @@ from typing import Annotated, ClassVar
 from pydantic import Field
 
 from annotator.project.classes.attributes import AttributeName, Value
-from annotator.project.records import BoxRecord, Exact, SaidRecord, ViewGeometry
+from annotator.project.records import BoxRecord, Exact, ViewGeometry
+from annotator.project.rows import new_uid
 from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, ReviewState, Suggestion
+from annotator.types.bases import TrackId
 from annotator.types.errors import ProjectError
 from annotator.types.label import MOST_TRACK, AttributeValue, Said
 
@@ -21,7 +22,6 @@ ViewId = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Uid = Annotated[str, Field(min_length=1, max_length=64)]
 ClassName = Annotated[str, Field(min_length=1)]
 ChangedValues = dict[AttributeName, Value | None]
-TrackId = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
 
 
 class Origin(StrEnum):
@@ -86,7 +86,7 @@ class NewLabel(Payload):
             left out.
         origin: how an operator made it, if one did.
         said: what other sources say of the object.
-        file_track_id: as in `SaidRecord`, of a box that `Proposals.bring` gets.
+        file_track_id: as in `Said`, of a box that `Proposals.bring` gets.
         proposal: if the recursion found the box.
 
     Raises ProjectError for a track id beyond `MOST_TRACK`.
@@ -103,10 +103,10 @@ class NewLabel(Payload):
     image_box: Box2D | None = None
     box_kind: BoxKind = BoxKind.BOX
     attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
-    said: tuple[Said | SaidRecord, ...] = ()
+    said: tuple[Said, ...] = ()
     file_track_id: int | None = None
     proposal: Proposal | None = None
-    uid: str = field(default_factory=lambda: uuid.uuid4().hex)
+    uid: str = field(default_factory=new_uid)
 
     def __post_init__(self) -> None:
         # the limit of the database and of exported files

@@ -24,11 +24,11 @@ from annotator.project.database.schema import ALL_LABELS, LABELS_OF_MOMENT, MOME
 from annotator.project.frames import StoredFrame
 from annotator.project.log import Writer, new_action
 from annotator.project.recordings import of_rig
-from annotator.project.records import OWN, BoxRecord, SaidRecord, storable, suggestion_of
+from annotator.project.records import OWN, BoxRecord, storable, suggestion_of
 from annotator.project.rows import Names, Place, Terms, box_2d_of, box_of, said_in, values_of
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source
 from annotator.types.errors import NotFoundError
-from annotator.types.label import AttributeValue
+from annotator.types.label import AttributeValue, Said
 
 REVIEWED = (ReviewState.ACCEPTED, ReviewState.EDITED)
 # Frames between two boxes of a track that are compared; farther apart, an object may have turned.
@@ -56,7 +56,7 @@ class StoredLabel:
     origin: Origin | None = None
     image_box: Box2D | None = None
     track_linked: bool = False
-    said: tuple[SaidRecord, ...] = ()
+    said: tuple[Said, ...] = ()
 
     @property
     def is_own(self) -> bool:
@@ -315,7 +315,7 @@ def stored_labels(
     )
 
 
-def certainty(said: SaidRecord) -> tuple[float, bool]:
+def certainty(said: Said) -> tuple[float, bool]:
     """The order of what sources say of an object, the surest first; a box without a score counts as sure."""
     return -1.0 if said.score is None else -said.score, said.source == OWN
 
@@ -350,7 +350,7 @@ def _stored_label(row: AnyRow, behind: tuple[AnyRow, ...], frame_id: int, names:
     )
 
 
-def _said(row: AnyRow, behind: Sequence[AnyRow], names: Names, place: Place) -> tuple[SaidRecord, ...]:
+def _said(row: AnyRow, behind: Sequence[AnyRow], names: Names, place: Place) -> tuple[Said, ...]:
     own = [row] if row.of_source is not None else []
     return tuple(sorted((said_in(each._mapping, names, place) for each in (*own, *behind)), key=certainty))
 

@@ -15,10 +15,10 @@ from jaxtyping import UInt8
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import PydanticSerializationError
 
-from annotator.types import Box2D, BoxKind, OrientedBox, PseudoView, Suggestion
-from annotator.types.bases import Strict
+from annotator.types import Box2D, OrientedBox, PseudoView, Suggestion
+from annotator.types.bases import SaidRecord, Strict
 from annotator.types.errors import RESTORE, ProjectError
-from annotator.types.label import Matrix3, Said
+from annotator.types.label import Matrix3
 
 ROTATION_TOLERANCE = 1e-6
 
@@ -75,43 +75,26 @@ class BoxRecord(Exact):
 
     def box(self) -> OrientedBox:
         """The box, bit for bit."""
-        pose = np.eye(4)
-        pose[:3, :3] = self.rotation
-        pose[:3, 3] = self.center_m
-        return OrientedBox(pose, np.array(self.size_m))
+        rows = [[*axes, center] for axes, center in zip(self.rotation, self.center_m, strict=True)]
+        return OrientedBox(np.array([*rows, [0.0, 0.0, 0.0, 1.0]]), np.array(self.size_m))
 
 
 # The source of our own proposals beside those of other software.
 OWN = "annotator"
 
 
-class SaidRecord(Exact):
-    """What one source says of an object, in its own words.
+class StoredSaid(SaidRecord, Exact):
+    """What one source said of an object, where its row no longer says it.
 
     Attributes:
         source: name of the detector, person or file; `OWN` for annotator's own proposals.
-        file_track_id: its id in the source's file, if other labels of the recording use that one.
         given: all values that the row has been given, with those that other sources of the object lend it.
     """
 
-    source: Annotated[str, Field(min_length=1, max_length=200)]
-    label: Annotated[str, Field(min_length=1)]
-    score: Annotated[float, Field(ge=0, le=1)] | None
     box: BoxRecord
-    track_id: int | None
-    box_kind: BoxKind
     attributes: dict[str, bool | int | Finite | str] = Field(default_factory=dict)
     file_track_id: int | None = None
     given: dict[str, bool | int | Finite | str] = Field(default_factory=dict)
-
-    @classmethod
-    def of(cls, said: Said) -> SaidRecord:
-        """The record of what a source said."""
-        return cls(**vars(said) | {"box": BoxRecord.of(said.box)})
-
-    def said(self) -> Said:
-        """What the source said."""
-        return Said(self.source, self.label, self.box.box(), self.score, self.track_id, self.box_kind)
 
 
 class ViewGeometry(Exact):

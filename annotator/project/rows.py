@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-import math
+import random
+import time
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cached_property, lru_cache, partial
@@ -15,9 +16,9 @@ from sqlalchemy import Connection
 from annotator.project.adjusting import moved_box, moved_geometry, moving
 from annotator.project.classes.attributes import Attribute, ClassStyle
 from annotator.project.database.store import driver_of
-from annotator.project.records import BOX_2D, BOXES_2D, OWN, BoxRecord, SaidRecord, ViewGeometry, parsed
-from annotator.types import Box2D, OrientedBox
-from annotator.types.label import AttributeValue
+from annotator.project.records import BOX_2D, BOXES_2D, OWN, BoxRecord, StoredSaid, ViewGeometry, parsed
+from annotator.types import Box2D, BoxKind, OrientedBox
+from annotator.types.label import AttributeValue, Said
 
 Row = dict[str, Any]
 """A row of an audited table as SQLite has it: a Boolean is 0 or 1."""
@@ -38,6 +39,11 @@ def T_camera_cloud(place: Place) -> RigidTransform | None:
         return T
     T_recorded_cloud = parsed(lambda text: RigidTransform.from_matrix(json.loads(text)), pose).inv()
     return T_recorded_cloud if T is None else T * T_recorded_cloud
+
+
+def new_uid() -> str:
+    """A uid for a label. It begins with the time, so that the database adds those of an import at one place."""
+    return f"{time.time_ns():016x}{random.getrandbits(64):016x}"
 
 
 class Terms:
@@ -125,10 +131,6 @@ class Terms:
         """A 3D box, camera frame."""
         return box_of(content, self.place(frame_id))
 
-    def said(self, content: str, frame_id: int | None) -> SaidRecord:
-        """What the source of a box says."""
-        return said_of(content, self.key, self.place(frame_id))
-
     def boxes_2d(self, content: str) -> tuple[Box2D, ...]:
         """2D boxes."""
         return tuple(_named(box, self.key) for box in parsed(BOXES_2D.validate_json, content))
@@ -167,58 +169,16 @@ class Terms:
             geometry = geometry.model_copy(update={"image_box": self._coded(geometry.image_box)})
         return geometry.model_dump_json()
 
-    def said_json(self, said: SaidRecord, frame_id: int | None) -> str:
-        """What a source says as it is stored."""
-        T, coded = self._T_cloud_camera(frame_id), {"label": str(self.ids[said.label])}
-        moved = {} if T is None else {"box": moved_box(said.box, T)}
-        return said.model_copy(update=coded | moved).model_dump_json()
-
 
 @lru_cache(maxsize=4096)
 def box_of(content: str, place: Place) -> OrientedBox:
     """A stored box. A page reads all boxes of its frame again after each change of one."""
-    box = parsed(BoxRecord.model_validate_json, content).box()
+    return _placed(parsed(BoxRecord.model_validate_json, content).box(), place)
+
+
+def _placed(box: OrientedBox, place: Place) -> OrientedBox:
     T = T_camera_cloud(place)
     return box if T is None else box.transformed(T)
-
-
-def record_of(content: str, place: Place) -> BoxRecord:
-    """A stored box, bit for bit if it is stored in the frame of the camera."""
-    record, T = parsed(BoxRecord.model_validate_json, content), T_camera_cloud(place)
-    return record if T is None else moved_box(record, T)
-
-
-def said_of(content: str, names: Names, place: Place) -> SaidRecord:
-    """What a source says of an object."""
-
-    def read(text: str) -> SaidRecord:
-        stored = json.loads(text)
-        return SaidRecord.model_validate(stored | {"label": _by_text(names)[stored["label"]]})
-
-    said, T = parsed(read, content), T_camera_cloud(place)
-    return said if T is None else said.model_copy(update={"box": moved_box(said.box, T)})
-
-
-def said_with(content: str, attributes: Mapping[str, AttributeValue], given: Mapping[str, AttributeValue]) -> str:
-    """What a source says, with other values; the same text for equal ones, since undo compares texts."""
-    stored = parsed(json.loads, content)
-    new = stored | {"attributes": dict(attributes), "given": dict(given)}
-    return content if new == stored else json.dumps(new, ensure_ascii=False, separators=(",", ":"))
-
-
-def said_in(row: Mapping[str, Any], names: Names, place: Place) -> SaidRecord:
-    """What the source of a box says, in its own words; ours says what its row has."""
-    if row["of_source"] is not None:
-        return said_of(row["said"], names, place)
-    return SaidRecord(
-        source=OWN,
-        label=dict(names)[row["class_id"]],
-        score=row["score"],
-        box=record_of(row["box"], place),
-        track_id=row["track_id"],
-        box_kind=row["box_kind"],
-        attributes=values_of(row["attributes"]),
-    )
 
 
 def box_2d_of(content: str | None, names: Names) -> Box2D | None:
@@ -233,6 +193,63 @@ def _named(box: Box2D, names: Names) -> Box2D:
 @lru_cache(maxsize=64)
 def _by_text(names: Names) -> dict[str, str]:
     return {str(number): name for number, name in names}
+
+
+# --- what sources say -------------------------------------------------------------------------------------------------
+# A row says what its source does, until something changes that. Then `said` keeps the words of the source.
+
+_WORDS = ("class_id", "score", "box", "track_id", "box_kind", "attributes")
+
+
+def stored_said(content: str) -> StoredSaid:
+    """The column `said`, with the id of the class and the box in the frame of the cloud."""
+    return parsed(StoredSaid.model_validate_json, content)
+
+
+def said_json(row: Row, file_track_id: int | None = None) -> str:
+    """What a row says, for its column `said`."""
+    values = values_of(row["attributes"])
+    said = {"source": row["of_source"] or OWN, "label": str(row["class_id"]), "box": parsed(json.loads, row["box"])}
+    said |= {name: row[name] for name in ("score", "track_id", "box_kind")}
+    return _text(said | {"attributes": values, "file_track_id": file_track_id, "given": values})
+
+
+def said_with(content: str, attributes: Mapping[str, AttributeValue], given: Mapping[str, AttributeValue]) -> str:
+    """What a source says, with other values; the same text for equal ones, since undo compares texts."""
+    stored = parsed(json.loads, content)
+    new = stored | {"attributes": dict(attributes), "given": dict(given)}
+    return content if new == stored else _text(new)
+
+
+def with_words(before: Row, after: Row) -> Row:
+    """A changed label; what other software has said of it is kept where the row no longer says it."""
+    if after["said"] is not None or None in (before["of_source"], after["of_source"]):
+        return after
+    if before["said"] is None:
+        is_same = all(before[name] == after[name] for name in _WORDS)
+        return after if is_same else after | {"said": said_json(before)}
+    # an undo puts back columns of which others may have been changed meanwhile
+    said = stored_said(before["said"])
+    is_same = said.model_copy(update={"given": said.attributes}) == stored_said(said_json(after))
+    return after if is_same else after | {"said": before["said"]}
+
+
+def said_in(row: Mapping[str, Any], names: Names, place: Place) -> Said:
+    """What the source of a box says, in its own words; ours says what its row has."""
+    if row["of_source"] is not None and row["said"] is not None:
+        stored = stored_said(row["said"])
+        label, more = parsed(_by_text(names).__getitem__, stored.label), stored.file_track_id
+        said = stored.said(_placed(stored.box.box(), place))
+        return replace(said, label=label, attributes=stored.attributes, file_track_id=more)
+    return Said(
+        row["of_source"] or OWN,
+        _by_text(names)[str(row["class_id"])],
+        box_of(row["box"], place),
+        row["score"],
+        row["track_id"],
+        BoxKind(row["box_kind"]),
+        values_of(row["attributes"]),
+    )
 
 
 # --- values of attributes ---------------------------------------------------------------------------------------------
@@ -254,9 +271,8 @@ def _values(content: str) -> dict[str, AttributeValue]:
 
 def values_json(values: Mapping[str, AttributeValue]) -> str:
     """Values as they are stored; equal values give equal texts."""
-    return json.dumps(dict(values), sort_keys=True, ensure_ascii=False, separators=(",", ":"))
+    return _text(values) if values else "{}"
 
 
-def number_or_none(value: float | None) -> float | None:
-    """A number as it is stored: SQLite has NULL for NaN."""
-    return None if value is None or math.isnan(value) else float(value)
+def _text(content: Mapping[str, Any]) -> str:
+    return json.dumps(dict(content), sort_keys=True, ensure_ascii=False, separators=(",", ":"))

@@ -4,41 +4,34 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from annotator.geometry.iou import intersection_volume_pairs, iou_3d_matrix
-from annotator.project.audit.making import said_row
+from annotator.project.audit.making import put_said
 from annotator.project.audit.writing import Write
 from annotator.project.changes import NewLabel
 from annotator.project.classes.attributes import fitting
 from annotator.project.classes.values import Values, conflicts, lent, new_values, of_tracks, own_values
 from annotator.project.database.store import Store, driver_of
 from annotator.project.labels import certainty
-from annotator.project.records import OWN, BoxRecord, SaidRecord
-from annotator.project.rows import Row, said_in, said_with, values_json
-from annotator.types import Label, OrientedBox, Proposal, ReviewState
-from annotator.types.label import AttributeValue
+from annotator.project.records import OWN
+from annotator.project.rows import Row, said_in, said_json, said_with, values_json
+from annotator.types import Label, Proposal, ReviewState, Truth
+from annotator.types.label import AttributeValue, Said
 
 # Minimum exact 3D IoU at which two boxes count as the same object.
 SAME_OBJECT_IOU = 0.5
 
 
-class Staying(NamedTuple):
-    """A label that an import does not replace; camera frame."""
-
-    uid: str
-    label: str
-    box: OrientedBox
+Staying = TypeVar("Staying", bound=Truth)
 
 
-def covered_by(
-    proposals: Sequence[Proposal | Label | NewLabel], reviewed: Iterable[Label | Staying]
-) -> list[str | None]:
-    """For each proposal, the uid of the reviewed label of its class with the greatest 3D IoU, if 0.5 or more."""
-    covering: list[str | None] = [None] * len(proposals)
+def covered_by(proposals: Sequence[Proposal | Label | NewLabel], reviewed: Iterable[Staying]) -> list[Staying | None]:
+    """For each proposal, the reviewed label of its class with the greatest 3D IoU, if 0.5 or more."""
+    covering: list[Staying | None] = [None] * len(proposals)
     labels = list(reviewed)
     for name in {label.label for label in labels}:
         indices = [index for index, proposal in enumerate(proposals) if proposal.label == name]
@@ -49,11 +42,11 @@ def covered_by(
         for index, row in zip(indices, iou, strict=True):
             best = int(np.argmax(row))
             if row[best] >= SAME_OBJECT_IOU:
-                covering[index] = candidates[best].uid
+                covering[index] = candidates[best]
     return covering
 
 
-def merged(frames: Sequence[Sequence[SaidRecord]]) -> list[list[list[int]]]:
+def merged(frames: Sequence[Sequence[Said]]) -> list[list[list[int]]]:
     """Of each frame, the places of the boxes of each object, that to show first; two of a source stay apart.
 
     Boxes of two sources are one object if their exact 3D IoU is 0.5 or more, whatever their classes. The surest box is
@@ -63,7 +56,7 @@ def merged(frames: Sequence[Sequence[SaidRecord]]) -> list[list[list[int]]]:
     return [_merged(said, same) for said, same in zip(frames, _same_objects(frames), strict=True)]
 
 
-def _merged(said: Sequence[SaidRecord], same: Mapping[int, Mapping[int, float]]) -> list[list[int]]:
+def _merged(said: Sequence[Said], same: Mapping[int, Mapping[int, float]]) -> list[list[int]]:
     groups: dict[int, list[int]] = {}
     for place in sorted(range(len(said)), key=lambda place: certainty(said[place])):
         source, overlaps = said[place].source, same.get(place, {})
@@ -79,7 +72,7 @@ def _merged(said: Sequence[SaidRecord], same: Mapping[int, Mapping[int, float]])
     return list(groups.values())
 
 
-def _same_objects(frames: Sequence[Sequence[SaidRecord]]) -> list[dict[int, dict[int, float]]]:
+def _same_objects(frames: Sequence[Sequence[Said]]) -> list[dict[int, dict[int, float]]]:
     """Of each frame, by the place of a box, the IoU with the boxes of other sources that may see the same object."""
     every = [each for said in frames for each in said]
     found = [defaultdict[int, dict[int, float]](dict) for _ in frames]
@@ -89,9 +82,8 @@ def _same_objects(frames: Sequence[Sequence[SaidRecord]]) -> list[dict[int, dict
     starts = np.cumsum([0, *lengths])
     pairs = [np.add(np.triu_indices(length, 1), start) for length, start in zip(lengths, starts[:-1], strict=True)]
     first, second = np.concatenate(pairs, axis=1)
-    centers, sizes, rotations = (
-        np.array([getattr(each.box, name) for each in every]) for name in ("center_m", "size_m", "rotation")
-    )
+    poses, sizes = np.array([each.box.pose for each in every]), np.array([each.box.size_m for each in every])
+    centers, rotations = poses[:, :3, 3], poses[:, :3, :3]
     names = np.unique([each.source for each in every], return_inverse=True)[1]
     reach = np.linalg.norm(sizes, axis=1) / 2
     apart = np.linalg.norm(centers[first] - centers[second], axis=1)
@@ -128,7 +120,7 @@ class Brought:
     conflicts: int
 
 
-Told = tuple[Row, SaidRecord]
+Told = tuple[Row, Said]
 """The row of an open proposal, and what its source says in its own words."""
 
 
@@ -136,20 +128,24 @@ def told(write: Write, source: str, boxes: Sequence[NewLabel]) -> tuple[list[Tol
     """All open proposals of a frame, with new ones of a source in place of its earlier ones; which boxes are such."""
     terms, waiting = write.terms, write.open_proposals()
     staying = [
-        Staying(row["uid"], terms.names[row["class_id"]], terms.box(row["box"], write.frame_id))
+        Truth(terms.names[row["class_id"]], terms.box(row["box"], write.frame_id))
         for row in _others(write, {row["uid"] for row in waiting})
         if row["behind"] is None
     ]
     for row in waiting:
         if row["of_source"] == source:
             write.put("labels", row["uid"], None)
-    is_open = tuple(uid is None for uid in covered_by(boxes, staying))
-    new = [_said(source, box) for box, is_new in zip(boxes, is_open, strict=True) if is_new]
-    left = [(row, _words(write, row)) for row in waiting if row["of_source"] != source]
-    return [*left, *((said_row(write, each), each) for each in new)], is_open
+    is_open = tuple(cover is None for cover in covered_by(boxes, staying))
+    found = [(row, _words(write, row)) for row in waiting if row["of_source"] != source]
+    for box, is_new in zip(boxes, is_open, strict=True):
+        if is_new:
+            more = box.score, box.track_id, box.box_kind, dict(box.attributes), box.file_track_id
+            said = Said(source, box.label, box.box, *more)
+            found.append((put_said(write, said), said))
+    return found, is_open
 
 
-def agreement(write: Write, source: str, objects: Sequence[Sequence[SaidRecord]]) -> tuple[int, int]:
+def agreement(write: Write, source: str, objects: Sequence[Sequence[Said]]) -> tuple[int, int]:
     """The number of a source's boxes that others see as well, and of its values that another one says otherwise."""
     together = sum(len(group) > 1 and any(each.source == source for each in group) for group in objects)
     differing = 0
@@ -167,7 +163,7 @@ def regroup(write: Write, waiting: Sequence[Row]) -> None:
     show(write, [[found[place] for place in group] for group in groups])
 
 
-def show(write: Write, groups: Sequence[Sequence[Told]]) -> list[list[SaidRecord]]:
+def show(write: Write, groups: Sequence[Sequence[Told]]) -> list[list[Said]]:
     """Stores the objects of a frame, each with the box to show first; returns them, each source in its own words."""
     tracks = _tracks(write, groups)
     attributes = write.terms.attributes
@@ -182,7 +178,7 @@ def show(write: Write, groups: Sequence[Sequence[Told]]) -> list[list[SaidRecord
         for row, said in others:
             columns = {"behind": shown["uid"], "track_id": said.track_id}
             if attributes:
-                columns |= _values_columns(write, row, said, said.attributes)
+                columns |= _values_columns(row, said, said.attributes)
             write.put("labels", row["uid"], row | columns)
     return [[said for _, said in group] for group in groups]
 
@@ -208,16 +204,14 @@ def _tracks(write: Write, groups: Sequence[Sequence[Told]]) -> list[int | None]:
     return tracks
 
 
-def _words(write: Write, row: Row) -> SaidRecord:
+def _words(write: Write, row: Row) -> Said:
     """What the source of an open proposal says, in its own words."""
     said = said_in(row, write.terms.key, write.terms.place(write.frame_id))
-    if row["said"] is None or (row["attributes"] == "{}" and not said.attributes):
-        return said
-    return said.model_copy(update={"attributes": own_values(row, write.terms)})
+    return said if row["said"] is None else replace(said, attributes=own_values(row))
 
 
 def _with_values(
-    write: Write, row: Row, said: SaidRecord, lenders: Sequence[Values], of_track: Mapping[str, AttributeValue]
+    write: Write, row: Row, said: Said, lenders: Sequence[Values], of_track: Mapping[str, AttributeValue]
 ) -> Row:
     """The columns of a shown box with the values of its object: of its sources, else of its track, else the defaults.
 
@@ -228,25 +222,22 @@ def _with_values(
     if said.source == OWN and not borrowed and row["said"] is None:
         return {}
     values = new_values(of_label, of_track, fitting(of_label, said.attributes) | borrowed)
-    return _values_columns(write, row, said, values, keep=bool(borrowed))
+    return _values_columns(row, said, values)
 
 
-def _values_columns(write: Write, row: Row, said: SaidRecord, given: Values, *, keep: bool = False) -> Row:
-    """The columns of a box with values that it is given; of ours, its own words are kept only if it borrows some."""
+def _values_columns(row: Row, said: Said, given: Values) -> Row:
+    """The columns of a box with values that it is given, which may be others than its source says."""
     text: str | None = row["said"]
-    if said.source != OWN:
-        assert text is not None  # as of all other software
-        text = said_with(text, said.attributes, given)
-    else:
-        kept = said.model_copy(update={"given": given})
-        text = write.terms.said_json(kept, write.frame_id) if keep else None
+    if text is not None or given != said.attributes:
+        text = said_with(said_json(row) if text is None else text, said.attributes, given)
     return {"attributes": values_json(given), "said": text}
 
 
 def source_tracks(store: Store, recording_id: int, source: str) -> tuple[set[int], dict[int, int]]:
     """All track ids of a recording's rig, also of hidden boxes; and those of `source`, by the ids in its files."""
     query = (
-        "SELECT track_id, of_source, said ->> '$.track_id', said ->> '$.file_track_id' FROM labels "
+        "SELECT track_id, of_source, iif(said IS NULL, track_id, said ->> '$.track_id'), said ->> '$.file_track_id' "
+        "FROM labels "
         "WHERE frame_id IN (SELECT frames.id FROM frames JOIN recordings ON recordings.id = frames.recording_id "
         "WHERE rig_id = (SELECT rig_id FROM recordings WHERE id = ?)) AND coalesce(track_id, said) IS NOT NULL"
     )
@@ -257,16 +248,3 @@ def source_tracks(store: Store, recording_id: int, source: str) -> tuple[set[int
             if name == source and said is not None:
                 given[said if file_track_id is None else file_track_id] = said
     return used - {None}, given
-
-
-def _said(source: str, box: NewLabel) -> SaidRecord:
-    return SaidRecord(
-        source=source,
-        label=box.label,
-        score=box.score,
-        box=BoxRecord.of(box.box),
-        track_id=box.track_id,
-        box_kind=box.box_kind,
-        attributes=dict(box.attributes),
-        file_track_id=box.file_track_id,
-    )

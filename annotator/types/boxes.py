@@ -134,8 +134,8 @@ class OrientedBox:
             is_mirrored = bool((np.abs(matrix) < 2).all()) and np.linalg.det(matrix) < 0
             mirrored = "; its axes are left-handed (they mirror)" if is_mirrored else ""
             raise ValueError(f"rotation must be a proper rotation matrix (orthonormal, determinant +1){mirrored}")
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = matrix, center
+        pose = np.zeros((4, 4))
+        pose[:3, :3], pose[:3, 3], pose[3, 3] = matrix, center, 1.0
         # normalising takes longer than all else, so a matrix that is exact up to rounding skips it
         if error > ORTHONORMAL:
             pose = RigidTransform(pose).as_matrix()

@@ -64,6 +64,8 @@ class Said:
         score: its certainty in 0..1, if known.
         track_id: the object's id within the recording, if known.
         box_kind: what the box encloses.
+        attributes: values of its attributes, by name; files of labels have none.
+        file_track_id: its id in the source's file, if other labels of the recording use that one.
     """
 
     source: str
@@ -72,6 +74,8 @@ class Said:
     score: float | None = None
     track_id: int | None = None
     box_kind: BoxKind = BoxKind.BOX
+    attributes: dict[str, AttributeValue] = field(default_factory=dict)
+    file_track_id: int | None = None
 
     def transformed(self, T: RigidTransform) -> Said:
         return replace(self, box=self.box.transformed(T))

@@ -14,10 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from annotator.project import Effort as StoredEffort
 from annotator.project import WriteContext
-from annotator.project.changes import TrackId
 from annotator.project.classes.attributes import Value
 from annotator.types import Box2D, BoxKind, OrientedBox, Quality, ReviewState, Source, Suggestion
-from annotator.types.bases import Strict
+from annotator.types.bases import Strict, TrackId
 
 # Limits of numbers in requests: finite, and wide enough for any image and recording.
 Px = Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False)]

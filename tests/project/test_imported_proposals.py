@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,8 +15,9 @@ from sqlalchemy import select
 from store_samples import box_at, by_hand, by_machine, proposal_at, revised
 
 from annotator.project import NewLabel, Project, ProjectConfig, StoredRecording, new_action
+from annotator.project.audit.events import read_row
 from annotator.project.backup.verify import verify
-from annotator.project.changes import LabelChanged
+from annotator.project.changes import LabelChanged, TracksLinked
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.classes.counts import ClassCounts
@@ -25,6 +27,7 @@ from annotator.project.labels import StoredLabel
 from annotator.project.recordings import SharedCloud
 from annotator.project.records import BoxRecord
 from annotator.project.review import By, waiting, waiting_sources
+from annotator.project.rows import said_json
 from annotator.project.sources import Brought
 from annotator.types import Box2D, Correction, ReviewState, Source
 from annotator.types.errors import HistoryError, ProjectError
@@ -145,6 +148,52 @@ def test_who_said_it_stays_known_after_an_edit_and_moves_with_the_cloud(project:
     project.adjustments.correct(recording, Correction((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)), "ann")
     said = project.labels.get(uid).said
     assert [(each.source, each.box.center_m[0]) for each in said] == [("one", 1.0), ("two", 1.02)]
+
+
+def test_words_are_stored_once_until_a_row_says_something_else(project: Project, frame: int) -> None:
+    put(project, COLOUR)
+    project.proposals.bring("one", {frame: [NewLabel("hand", box_at(), 0.9, 5, attributes={"colour": "red"})]})
+    bring(project, frame, "two", box(0.02, 0.4, track_id=5))
+    uid = project.labels.select()[0].label.uid
+
+    def words() -> list[tuple[object, ...]]:
+        said = project.labels.get(uid).said
+        return [(each.source, each.label, each.box.center_m[0], each.track_id, each.attributes) for each in said]
+
+    def stored() -> list[str | None]:
+        with project.store.read() as connection:
+            return list(connection.exec_driver_sql("SELECT said FROM labels ORDER BY id").scalars())
+
+    before = words()
+    assert before == [("one", "hand", 0.0, 5, {"colour": "red"}), ("two", "hand", 0.02, 5, {})]
+    assert stored() == [None, None]
+    # whoever undoes first, in a row that the other has changed as well
+    linked = TracksLinked(labels=(LabelChanged(uid=uid, track_id=7, box=BoxRecord.of(box_at(3.0))),))
+    for steps in (["bob", "ann"], ["ann", "bob"]):
+        linking = replace(by_machine(project.frames.get(frame).revision), author="ann")
+        project.log.append(frame, [linked], linking, new_action())
+        changed = LabelChanged(uid=uid, label="person", attributes={"colour": "blue"})
+        project.log.append(frame, [changed], replace(revised(project, frame), author="bob"))
+        assert words() == before
+        for author in steps:
+            project.history.undo(author)
+            assert words() == before
+        assert project.labels.get(uid).label.track_id == 5
+        assert stored() == [None, None] or steps[0] == "ann"
+    # as earlier versions have stored all of them
+    with project.store.write() as connection:
+        row = read_row(connection, "labels", uid)
+        assert row is not None
+        connection.exec_driver_sql("UPDATE labels SET said = ? WHERE uid = ?", (said_json(row), uid))
+    assert words() == before
+    bring(project, frame, "three", box(0.01, 0.6))
+    assert [each[0] for each in words()] == ["one", "three", "two"]
+
+
+def test_a_score_beyond_1_is_refused(project: Project, frame: int) -> None:
+    with pytest.raises(ProjectError, match=r"a score of one must be in 0\.\.1, not 1\.5"):
+        bring(project, frame, "one", box(0.0, 1.5))
+    assert project.labels.select() == ()
 
 
 def test_the_queue_tells_the_sources_of_each_object_and_filters_by_them(project: Project, frame: int) -> None:

@@ -119,10 +119,10 @@ def test_a_project_that_cannot_be_written_can_be_read(
 
 
 def write_and_be_killed(project: Path) -> None:
-    """Adds three labels, and leaves the files as they are while the database is open: as after a kill."""
+    """Adds 12 labels, which fill more than a page, and leaves the files as while the database is open: after a kill."""
     left = project.parent / "left"
     with open_project(project) as opened:
-        for _ in range(3):
+        for _ in range(12):
             frame = opened.frames.of()[4]
             opened.labels.create(frame.id, [NewLabel("hand", box_at(9.0))], by_hand(frame.revision))
         shutil.copytree(project, left)
@@ -153,5 +153,5 @@ def test_a_left_wal_of_the_database_itself_is_used(full: Path, tmp_path: Path) -
         write_and_be_killed(full)
     moved = full.rename(tmp_path / "moved")
     with open_project(moved) as project:
-        assert len(project.labels.of_frame(project.frames.of()[4].id)) == 6
+        assert len(project.labels.of_frame(project.frames.of()[4].id)) == 24
     assert verify(moved, deep=True).problems == ()

@@ -60,11 +60,6 @@ class RowChange:
             return changed_row(self.table, self.key, before, after) or RowChange(self.table, self.key, {}, {})
         return RowChange(self.table, self.key, before, after)
 
-    @property
-    def is_nothing(self) -> bool:
-        """Whether the row is as before."""
-        return self.before == self.after
-
 
 def changed_row(table: str, key: Key, before: Row | None, after: Row | None) -> RowChange | None:
     """The change of a whole row to another; None if they are equal."""
@@ -82,7 +77,7 @@ def as_one(changes: Iterable[RowChange]) -> list[RowChange]:
     for each in changes:
         place = each.table, each.key
         found[place] = found[place].then(each) if place in found else each
-    return [each for each in found.values() if not each.is_nothing]
+    return [each for each in found.values() if each.before != each.after]
 
 
 @dataclass(frozen=True)
@@ -155,14 +150,25 @@ def insert_event(connection: Connection, event: Event) -> Event:
 
 
 def rows_json(rows: Sequence[RowChange]) -> str:
-    """Changed rows as they are stored."""
-    listed = [(row.table, row.key, row.before, row.after) for row in rows]
+    """Changed rows as they are stored; a whole row without the columns that have no value."""
+
+    def short(row: RowChange, state: Row | None) -> Row | None:
+        return state if state is None or row.is_update else {name: v for name, v in state.items() if v is not None}
+
+    listed = [(row.table, row.key, short(row, row.before), short(row, row.after)) for row in rows]
     return json.dumps(listed, ensure_ascii=False, separators=(",", ":"))
 
 
 def rows_of(content: str) -> tuple[RowChange, ...]:
     """The changed rows of an event."""
-    return parsed(lambda text: tuple(RowChange(*row) for row in json.loads(text)), content)
+    return parsed(lambda text: tuple(_changed_row(*row) for row in json.loads(text)), content)
+
+
+def _changed_row(table: str, key: Key, before: Row | None, after: Row | None) -> RowChange:
+    if (before is None) is not (after is None):
+        columns = dict.fromkeys(columns_of(table))
+        before, after = (None if state is None else columns | state for state in (before, after))
+    return RowChange(table, key, before, after)
 
 
 def read_events(connection: Connection, query: Select[Any] | None = None, after: int = 0) -> Iterator[Event]:

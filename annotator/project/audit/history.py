@@ -42,7 +42,7 @@ from annotator.project.classes.changing import KIND as CLASSES_CHANGED
 from annotator.project.database.schema import events, frames, recordings
 from annotator.project.log import Writer, new_action, require_writable
 from annotator.project.recordings import removed_recordings
-from annotator.project.rows import Row, Terms, box_2d_of, said_with, values_json, values_of
+from annotator.project.rows import Row, Terms, box_2d_of, said_with, stored_said, values_json, values_of
 from annotator.project.sources import KIND as IMPORTED
 from annotator.types import Source
 from annotator.types.errors import FinalisedFrameError, HistoryError, ProjectError, TrackTakenError
@@ -417,10 +417,10 @@ class _Part:
         if image_box is not None and image_box.label not in terms.classes:
             allowed["image_box"] = None
         if change.table == "labels" and state.get("said") is not None:
-            said = terms.said(state["said"], None)
-            if said.label not in terms.classes:
+            said = stored_said(state["said"])
+            if (label := terms.names[int(said.label)]) not in terms.classes:
                 return allowed | {"said": None, "of_source": None}
-            of_label = terms.attributes_of(said.label)
+            of_label = terms.attributes_of(label)
             own, given = (self._fitting(of_label, values, note) for values in (said.attributes, said.given))
             allowed["said"] = said_with(state["said"], own, given)
         return allowed

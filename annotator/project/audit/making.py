@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from annotator.geometry.oriented_box import same_box
@@ -25,11 +25,11 @@ from annotator.project.changes import (
 from annotator.project.classes.attributes import Attribute, AttributeOf, fitting
 from annotator.project.classes.values import Values, after_edit, checked, new_values, of_tracks
 from annotator.project.database.schema import columns_of
-from annotator.project.records import OWN, SaidRecord, suggestion_json
-from annotator.project.rows import Row, number_or_none, values_json, values_of
+from annotator.project.records import OWN, suggestion_json
+from annotator.project.rows import Row, said_json, values_json, values_of
 from annotator.types import Proposal, ReviewState, Source
 from annotator.types.errors import ProjectError
-from annotator.types.label import AttributeValue
+from annotator.types.label import AttributeValue, Said
 
 
 def make(write: Write, payload: Payload) -> None:
@@ -103,36 +103,43 @@ def new_label(write: Write, uid: str, label: str, **values: Any) -> Row:
     return row | write.author | values
 
 
-def said_row(write: Write, said: SaidRecord, **columns: Any) -> Row:
-    """The row of an open proposal that a source has made."""
+def put_said(write: Write, said: Said, behind: str | None = None) -> Row:
+    """Puts the row of an open proposal that a source has made; returns it."""
     is_ours = said.source == OWN
-    write.class_id(said.label)  # its words name it by id, too
+    if said.score is not None and not 0 <= said.score <= 1:
+        raise ProjectError(f"{write.where}: a score of {said.source} must be in 0..1, not {said.score:g}; scale it")
+    values = fitting(write.terms.attributes_of(said.label), said.attributes) if said.attributes else {}
     row = new_label(
         write,
         write.new_uid(),
         said.label,
-        box=write.terms.box_json(said.box, write.frame_id),
+        box=write.box_json(said.box),
         score=said.score,
         state=ReviewState.PROPOSED.value,
         source=(Source.AUTO if is_ours else Source.IMPORTED).value,
         author=said.source,
         track_id=said.track_id,
         box_kind=said.box_kind.value,
-        attributes=values_json(said.attributes),
-        said=None if is_ours else write.terms.said_json(said, write.frame_id),
+        attributes=values_json(values),
+        behind=behind,
         of_source=None if is_ours else said.source,
     )
-    return row | columns
+    if said.file_track_id is not None and not is_ours:
+        row["said"] = said_json(row, said.file_track_id)
+    write.put("labels", row["uid"], row)
+    return row
 
 
 def _found(write: Write, proposal: Proposal) -> Row:
     """The columns of a label that come from the recursion."""
-    signals = {name: number_or_none(value) for name, value in vars(proposal.quality).items()}
+    # SQLite has NULL for NaN
+    known = {name: value for name, value in vars(proposal.quality).items() if value is not None and value == value}
+    signals = {name: float(known[name]) if name in known else None for name in vars(proposal.quality)}
     return {"score": proposal.score, "proposed_box": write.box_json(proposal.box)} | signals
 
 
-def _values_of_tracks(write: Write, tracks: Collection[int | None]) -> Mapping[int | None, Values]:
-    return of_tracks(write.connection, write.terms, write.frame_id, tracks)
+def _of_track(write: Write, track_id: int | None) -> Values:
+    return of_tracks(write.connection, write.terms, write.frame_id, [track_id]).get(track_id, {})
 
 
 def _create(write: Write, payload: NewLabel, run: int | None = None) -> None:
@@ -161,13 +168,10 @@ def _create(write: Write, payload: NewLabel, run: int | None = None) -> None:
         row |= {} if payload.proposal is None else _found(write, payload.proposal)
     else:
         given = checked(of_label, payload.attributes, payload.label)
-    of_track = _values_of_tracks(write, [payload.track_id]).get(payload.track_id, {})
-    row["attributes"] = values_json(new_values(of_label, of_track, given))
+    row["attributes"] = values_json(new_values(of_label, _of_track(write, payload.track_id), given))
     write.put("labels", payload.uid, row)
-    for each in payload.said:
-        said = each if isinstance(each, SaidRecord) else SaidRecord.of(each)
-        behind = said_row(write, said, behind=payload.uid)
-        write.put("labels", behind["uid"], behind)
+    for said in payload.said:
+        put_said(write, said, payload.uid)
 
 
 def _replace_proposals(write: Write, payload: ProposalsReplaced) -> None:
@@ -180,7 +184,7 @@ def _replace_proposals(write: Write, payload: ProposalsReplaced) -> None:
     if payload.run is not None and write.frame_id is not None and (frame := write.row("frames", write.frame_id)):
         write.put("frames", write.frame_id, frame | {"run_id": payload.run})
     found = [(write.class_id(each.label), each.score, write.box_json(each.box)) for each in payload.found]
-    write.keep_pass(json.dumps(found, separators=(",", ":")))
+    write.found = json.dumps(found, separators=(",", ":"))
 
 
 def _kind_of(payload: LabelChanged) -> str:
@@ -223,7 +227,7 @@ def _change(write: Write, payload: LabelChanged, *, is_linked: bool = False) -> 
         changed |= {"track_id": payload.track_id, "track_linked": int(is_linked)}
     values = values_of(row["attributes"])
     if terms.attributes and (name != before or (is_other and not is_linked)):
-        of_track = _values_of_tracks(write, [payload.track_id]).get(payload.track_id, {}) if is_other else {}
+        of_track = _of_track(write, payload.track_id) if is_other else {}
         values = after_edit(terms.attributes, values, before, name, of_track)
     if "attributes" in payload.model_fields_set:  # also without any: none may be what a person wants
         values = _with_values(values, payload.attributes, terms.attributes_of(name), name)

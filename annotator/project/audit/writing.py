@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import sqlite3
-import uuid
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -25,7 +23,7 @@ from annotator.project.classes.values import is_kept
 from annotator.project.database.schema import columns_of, packed
 from annotator.project.database.store import Store, driver_of
 from annotator.project.records import BoxRecord
-from annotator.project.rows import Row, Terms
+from annotator.project.rows import Row, Terms, new_uid, with_words
 from annotator.types import OrientedBox, ReviewState, Source
 from annotator.types.errors import HistoryError, NotFoundError, ProjectError, TrackTakenError
 from annotator.types.messages import alternatives
@@ -86,6 +84,7 @@ class Write:
         frame_id: None for a view without a frame, and for the classes.
         where: names it in messages.
         terms: of the transaction.
+        found: by an automatic pass, to keep in the place of what the one before has; None = it is no pass.
     """
 
     def __init__(
@@ -107,7 +106,7 @@ class Write:
         self._knows_all = False
         self._rows: list[RowChange] = []
         self._events: list[tuple[str, str | None, tuple[RowChange, ...]]] = []
-        self._pass: str | None = None
+        self.found: str | None = None
         self._boxes = dict[OrientedBox, str]()
         # frames whose labels or values a change of the classes has changed
         self._stale = set[int]()
@@ -136,6 +135,9 @@ class Write:
     def put(self, table: str, key: Key, after: Row | None) -> None:
         """Puts a row in the place of the present one; None removes it."""
         before = self.row(table, key)
+        # a change of the classes changes what sources say, too
+        if table == "labels" and before is not None and after is not None and self.frame_id is not None:
+            after = with_words(before, after)
         if (change := changed_row(table, key, before, after)) is not None:
             self._now[table, key] = after
             self._rows.append(change)
@@ -159,19 +161,15 @@ class Write:
         """Takes a row that was read within the transaction."""
         self._now.setdefault((table, key), row)
 
-    def know_all(self, rows: Iterable[Row]) -> None:
-        """Takes the rows of all labels of the moment, read within the transaction."""
-        for row in rows:
-            self.know("labels", row["uid"], row)
-        self._knows_all = True
-
     def labels(self) -> list[Row]:
         """The rows of all labels of the frame's moment, in the order of their creation."""
         if not self._knows_all:
             columns = columns_of("labels")
             query = f"SELECT {', '.join(columns)} FROM labels WHERE moment_id = ? AND (hidden = 0 OR frame_id = ?)"
             found = driver_of(self.connection).execute(query, (self.moment_id, self.frame_id)).fetchall()
-            self.know_all(dict(zip(columns, values, strict=True)) for values in found)
+            for row in (dict(zip(columns, values, strict=True)) for values in found):
+                self.know("labels", row["uid"], row)
+            self._knows_all = True
         now = [row for (table, _), row in self._now.items() if table == "labels" and row is not None]
         return sorted((row for row in now if row["moment_id"] == self.moment_id), key=lambda row: int(row["id"]))
 
@@ -204,7 +202,7 @@ class Write:
 
     def new_uid(self) -> str:
         """The uid of a label that is not there yet."""
-        uid = uuid.uuid4().hex
+        uid = new_uid()
         self._now["labels", uid] = None
         return uid
 
@@ -229,10 +227,6 @@ class Write:
         """Ends one change: the rows that were put since the one before."""
         self._events.append((kind, view, tuple(as_one(self._rows))))
         self._rows = []
-
-    def keep_pass(self, content: str) -> None:
-        """Keeps what an automatic pass has found in the place of what the one before has."""
-        self._pass = content
 
     def finish(self) -> Receipt:
         """Stores the rows and the events.
@@ -264,8 +258,8 @@ class Write:
             stored.append(insert_event(self.connection, event))
         if stored:
             self._apply(stored)
-        if self._pass is not None:
-            values = (self.frame_id, stored[0].id, packed(self._pass))
+        if self.found is not None:
+            values = (self.frame_id, stored[0].id, packed(self.found))
             self.connection.exec_driver_sql("INSERT OR REPLACE INTO passes VALUES (?, ?, ?)", values)
         return Receipt(tuple(event.id for event in stored), context.revision + len(stored))
 

@@ -18,7 +18,7 @@ from annotator.project.config import ProjectConfig, ProjectFile, whole_config
 from annotator.project.database.schema import AUDITED, columns_of, events
 from annotator.project.database.store import Store, driver_of
 from annotator.project.log import new_action, next_revision
-from annotator.project.rows import Row, Terms, box_2d_of, said_with, values_json, values_of
+from annotator.project.rows import Row, Terms, box_2d_of, said_with, stored_said, values_json, values_of
 from annotator.project.sources import KIND as IMPORTED
 from annotator.project.sources import regroup
 from annotator.types import Source
@@ -171,10 +171,10 @@ def _changed_label(terms: Terms, change: ClassEdit, row: Row) -> Row | None:
     if image_box is not None and image_box.label == change.removed:
         after["image_box"] = None
     if row["said"] is not None:
-        said = terms.said(row["said"], None)
-        if said.label == change.removed:
+        said = stored_said(row["said"])
+        if (label := terms.names[int(said.label)]) == change.removed:
             return after | {"said": None, "of_source": None}
-        own, given = (_values(change, said.label, values) for values in (said.attributes, said.given))
+        own, given = (_values(change, label, values) for values in (said.attributes, said.given))
         after["said"] = said_with(row["said"], own, given)
     return after
 

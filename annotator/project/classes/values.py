@@ -11,7 +11,7 @@ from sqlalchemy import Connection, Select, select
 from annotator.project.classes.attributes import MEASURED, Attribute, AttributeOf, fitting
 from annotator.project.database.schema import frames, labels
 from annotator.project.recordings import of_rig
-from annotator.project.rows import Terms, values_of
+from annotator.project.rows import Terms, stored_said, values_of
 from annotator.types import ReviewState
 from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue
@@ -79,7 +79,7 @@ def of_tracks(
         return found
     for row in connection.execute(labels_of_tracks(frame_id, known)):
         # what a source has lent goes with it
-        for name, value in own_values(dict(row._mapping), terms).items():
+        for name, value in own_values(dict(row._mapping)).items():
             if name in names:
                 found[row.track_id].setdefault(name, value)
     return found
@@ -106,7 +106,9 @@ def is_kept(row: Mapping[str, Any], terms: Terms) -> bool:
     if not row["values_set"] or row["state"] != ReviewState.PROPOSED.value:
         return False
     if row["said"] is not None:
-        return values_of(row["attributes"]) != terms.said(row["said"], None).given
+        return values_of(row["attributes"]) != stored_said(row["said"]).given
+    if row["of_source"] is not None:
+        return False
     label = terms.names[row["class_id"]]
     defaults = {each.name: each.default for each in terms.attributes_of(label) if each.default is not None}
     return values_of(row["attributes"]) != defaults
@@ -150,12 +152,12 @@ class ValueReader:
 # it, until that source says otherwise. A value that is the default says nothing, whoever has it.
 
 
-def own_values(row: Mapping[str, Any], terms: Terms) -> Values:
+def own_values(row: Mapping[str, Any]) -> Values:
     """The values of a label without those that other sources have lent it, and that nobody has changed since."""
     present = values_of(row["attributes"])
     if row["said"] is None or not present:
         return present
-    said = terms.said(row["said"], None)
+    said = stored_said(row["said"])
     changed = {name: value for name, value in present.items() if said.given.get(name) != value}
     return {name: value for name, value in said.attributes.items() if name in present} | changed
 

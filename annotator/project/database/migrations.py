@@ -200,9 +200,9 @@ CREATE TABLE events (
 # track_linked: whether linking assigned the track id. suggestion: the detector that suggested its boxes. values_set:
 # whether a person has set values of its attributes. proposed_box: as the recursion found it. run_id: of the batch run
 # that proposed it. behind: uid of the label that is shown in its place, since both see one object. of_source: name of
-# the other software that made it. said: what that says of the object (`SaidRecord`); of ours, only while others lend it
-# values. Boxes and texts with several values are JSON. Short columns come first: a query of many rows reads no
-# further.
+# the other software that made it. said: what the source says of the object (`StoredSaid`), only where the row does not
+# say the same: somebody has changed it, or other sources lend it values. Boxes and texts with several values are JSON.
+# Short columns come first: a query of many rows reads no further.
 _LABELS = """
 CREATE TABLE labels (
     id INTEGER PRIMARY KEY AUTOINCREMENT,

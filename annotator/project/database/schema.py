@@ -2,7 +2,8 @@
 
 What people change lies in seven tables. One door (`audit/`) writes a changed row, and with it a row of `events`, the
 audit: who, when, in which action, from which source, at which revision of the frame; and each changed row as
-`[table, key, before, after]`. Of an updated row, `before` and `after` have the columns that differ; null is no row.
+`[table, key, before, after]`. Of an updated row, `before` and `after` have the columns that differ; of another one, all
+that have a value, and null is no row.
 
 - `labels` (key: `uid`): 3D boxes. A label belongs to a *moment*, that is to a cloud at a time, which several cameras
   may share: frames with the same `moment_id`. It names its class by id. Its box lies in the frame of its cloud, as it

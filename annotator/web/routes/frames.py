@@ -20,12 +20,12 @@ from annotator.project.changes import (
     LabelDeleted,
     NewLabel,
     Payload,
-    TrackId,
 )
 from annotator.project.overview import neighbours
 from annotator.project.records import BoxRecord
 from annotator.rcv.pseudo_view import Window, render_window
 from annotator.types import BoxKind, ReviewState, Suggestion
+from annotator.types.bases import TrackId
 from annotator.types.errors import ConfigError, HistoryError
 from annotator.web.context import AtProject, Ctx, InProject
 from annotator.web.errors import AnsweredError, error_response

@@ -104,7 +104,7 @@ class BoxExport(ExportJob):
             if frame is None:
                 continue
             recording = self.source.recording(chosen.stored.recording_id)
-            labels = [replace(entry.label, said=tuple(each.said() for each in entry.said)) for entry in chosen.labels]
+            labels = [replace(each.label, said=each.said) for each in chosen.labels]
             if _is_cut(recording):
                 self.losses.add(Lost.CUT)
             rows = dont_care_rows(recording, chosen.stored.key) if FORMATS[self.format].areas else ()

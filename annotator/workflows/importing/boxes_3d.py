@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -17,7 +16,7 @@ from annotator.types import Frame, ReviewState, Source, Truth
 from annotator.types.errors import ConfigError, StaleRevisionError
 from annotator.types.label import Said
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing.label_set import LabelSet, near, truths_of
+from annotator.workflows.importing.label_set import LabelSet, near, truths_of, uncollected
 from annotator.workflows.importing.placing import NO_NAMES, PROGRAM, Importer, OwnClasses
 from annotator.workflows.importing.report import Become, ImportReport, Note, SizeDoubts
 from annotator.workflows.importing.values import give_values, of_covered
@@ -115,18 +114,9 @@ class Reader:
         self.values = ValueReader(project.config.attributes)
         self._sizes = SizeDoubts()
 
+    @uncollected()
     def read_all(self, add: Callable[[str, StoredFrame], None], progress: Callable[[int, int], None] | None) -> None:
         """Adds all frames; one that cannot be read is reported."""
-        # Python would look through all boxes again and again for cycles, which they do not have: a quarter of the time
-        is_collecting = gc.isenabled()
-        gc.disable()
-        try:
-            self._read_all(add, progress)
-        finally:
-            if is_collecting:
-                gc.enable()
-
-    def _read_all(self, add: Callable[[str, StoredFrame], None], progress: Callable[[int, int], None] | None) -> None:
         for number, (name, stored) in enumerate(self.matched.matched, 1):
             try:
                 add(name, stored)

@@ -30,7 +30,7 @@ from annotator.recordings.sunrgbd import read_extracted_calibration
 from annotator.types import Frame, Truth
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing.label_set import LabelSet, transformed
+from annotator.workflows.importing.label_set import LabelSet, transformed, uncollected
 
 
 def _sunrgbd(path: Path) -> dict[str, LabelledFrame]:
@@ -145,6 +145,7 @@ READERS: dict[BoxFormat, Reader] = {
 }
 
 
+@uncollected()
 def placed_boxes(
     format: BoxFormat, path: Path, angles: AngleUnit | None = None, on_fault: OnFault = raise_fault
 ) -> LabelSet:

@@ -135,9 +135,9 @@ def of_covered(boxes: Sequence[NewLabel], labels: Sequence[Label]) -> dict[str, 
     """Returns the values of a dataset's boxes by the uid of the reviewed label of its class that covers each."""
     reviewed = [label for label in labels if label.state in REVIEWED]
     found: dict[str, Values] = {}
-    for box, uid in zip(boxes, covered_by(boxes, reviewed), strict=True):
-        if uid is not None:
-            found[uid] = dict(box.attributes) | found.get(uid, {})
+    for box, cover in zip(boxes, covered_by(boxes, reviewed), strict=True):
+        if cover is not None:
+            found[cover.uid] = dict(box.attributes) | found.get(cover.uid, {})
     return found
 
 
