@@ -86,7 +86,7 @@ class OpenFrame:
     @property
     def jpeg(self) -> bytes:
         """The image as a JPEG file."""
-        return self._whole.get("jpeg", lambda: _jpeg(self.frame))
+        return self._whole.get("jpeg", lambda: encoded_image(self.frame.rgb, "jpg", JPEG_QUALITY))
 
     @property
     def with_normals(self) -> Frame:
@@ -117,16 +117,6 @@ class OpenFrame:
     def once(self, key: Hashable, compute: Callable[[], T]) -> T:
         """Returns a result that depends on nothing but the frame and `key`; the latest results are kept."""
         return self._results.get(key, compute)
-
-
-def _jpeg(frame: Frame) -> bytes:
-    import cv2
-
-    bgr = np.ascontiguousarray(frame.rgb[..., ::-1])
-    written, content = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    if not written:
-        raise AnnotatorError(f"frame {frame.key}: the image cannot be written as JPEG")
-    return content.tobytes()
 
 
 def _with_normals(frame: Frame) -> Frame:
