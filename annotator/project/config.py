@@ -16,7 +16,6 @@ from pydantic import AfterValidator, BaseModel, Field, JsonValue, ValidationErro
 
 from annotator.files import lock_folder, private_folder, read_file, sync_folder, write_atomic
 from annotator.project.classes.attributes import Attribute, ClassStyle
-from annotator.project.database.migrations import UNRELEASED
 from annotator.project.rows import Terms
 from annotator.text import is_within
 from annotator.types.bases import Strict
@@ -160,11 +159,8 @@ def read_config(folder: Path) -> ProjectFile:
             return ProjectFile.model_validate_json(content)
     except ValidationError as error:
         raise ProjectError(f"{path}: {first_problem(error)}; repair it or {RESTORE}") from error
-    if version < FORMAT_VERSION:
-        raise ProjectError(f"{path}: {UNRELEASED}")
-    raise ProjectError(
-        f"{path}: has format version {version}; this annotator reads up to {FORMAT_VERSION}; update annotator"
-    )
+    remedy = "update annotator" if version > FORMAT_VERSION else "use the version that made it"
+    raise ProjectError(f"{path}: has format version {version}, but this annotator reads {FORMAT_VERSION}; {remedy}")
 
 
 def write_config(folder: Path, config: ProjectFile) -> None:
