@@ -199,7 +199,7 @@ def mark_in_use(opened: object, folder: Path) -> Callable[[], object]:
     marked.
     """
     lock = lock_folder(folder, is_shared=True, waits=True)
-    return (lambda: None) if lock is None else weakref.finalize(opened, os.close, lock)
+    return weakref.finalize(opened, lock.close)
 
 
 @contextmanager
@@ -212,11 +212,8 @@ def not_in_use(folder: Path) -> Iterator[None]:
             f"{folder}: another process has this project open; if it is a server, use its start page, or stop it; "
             "if it is a command, wait until it is done"
         ) from None
-    try:
+    with lock:
         yield
-    finally:
-        if lock is not None:
-            os.close(lock)
 
 
 # Renaming and setting aside are one rename, which other processes notice: the store refuses to write to a database that
