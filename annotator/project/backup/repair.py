@@ -107,6 +107,7 @@ def repair(project: Path, new_name: str | None = None) -> Repaired:
         stack.callback(store.close)
         try:
             with _damaged(copy) as source:
+                source.execute("PRAGMA user_version").fetchone()  # an error for what is no database at all
                 _copy_plain(source, store, repaired.lost, _PLAIN)
                 _replay(source, store, repaired)
                 _copy_plain(source, store, repaired.lost, ("passes",))  # which refer to events
