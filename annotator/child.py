@@ -11,9 +11,10 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from io import TextIOWrapper
 from threading import Lock, Timer
 from types import MappingProxyType
-from typing import IO, Any
+from typing import IO, Any, cast
 
 # -P excludes the current folder, whose files might shadow modules
 PROGRAM = (
@@ -56,7 +57,8 @@ def parent() -> Pipe:
     """In a child: its end of the pipes. What libraries print goes to standard error, and is taken for no message."""
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    return Pipe(sys.stdin.buffer, out)
+    # detached, since Python closes its standard input at the end, and aborts if a thread waits for it
+    return Pipe(cast(TextIOWrapper, sys.stdin).detach(), out)
 
 
 class Child(Pipe):

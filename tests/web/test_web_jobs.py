@@ -38,9 +38,11 @@ from annotator.web.jobs.records import (
     FILE,
     PAUSE,
     WORK,
+    Ended,
     JobState,
     Order,
     ProposeRequest,
+    WorkerMessage,
     read_journal,
 )
 from annotator.web.jobs.runner import EXPORTS_KEPT, JOBS_KEPT, WORKER, JobRunner
@@ -201,11 +203,30 @@ def test_a_worker_ends_when_its_server_has_died(fake: None, web_settings: Server
         operator="Ada",
         request=ProposeRequest(kind="propose", limit=fake_jobs.LONG),
     )
-    worker = Child(WORKER, errors=subprocess.DEVNULL, in_session=True)
+    worker = Child(WORKER, errors=subprocess.DEVNULL)
     worker.send(order)
     assert worker.receive().stage == "on and on"
     assert worker.process.stdin is not None
     worker.process.stdin.close()
+    assert worker.process.wait(15) == 0
+    worker.close()
+
+
+def test_a_worker_ends_well_while_it_waits_for_orders(fake: None, web_settings: ServerSettings, tmp_path: Path) -> None:
+    order = Order(
+        target="fake_jobs:work",
+        project=web_settings.projects_root / "room",
+        folder=tmp_path,
+        operator="Ada",
+        request=ProposeRequest(kind="propose", limit=fake_jobs.QUICK),
+    )
+    worker = Child(WORKER, {"OMP_WAIT_POLICY": "PASSIVE"}, subprocess.DEVNULL)
+    worker.send(order)
+    messages: list[WorkerMessage] = []
+    with pytest.raises(EOFError):
+        while True:
+            messages.append(worker.receive())
+    assert isinstance(messages[-1], Ended) and messages[-1].message == "counted to 2"
     assert worker.process.wait(15) == 0
     worker.close()
 
