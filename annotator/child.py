@@ -11,7 +11,6 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from io import TextIOWrapper
 from threading import Lock, Timer
 from types import MappingProxyType
 from typing import IO, Any, cast
@@ -58,7 +57,7 @@ def parent() -> Pipe:
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     # detached, since Python closes its standard input at the end, and aborts if a thread waits for it
-    return Pipe(cast(TextIOWrapper, sys.stdin).detach(), out)
+    return Pipe(cast(Any, sys.stdin).detach(), out)
 
 
 class Child(Pipe):
