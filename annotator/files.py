@@ -293,16 +293,12 @@ def unfinished_folder(root: Path, name: str) -> Iterator[Path]:
     while True:
         folder = root / f".{name}.{uuid.uuid4().hex}.unfinished"
         folder.mkdir(mode=0o700)
-        lock = lock_folder(folder, waits=True)
-        try:
+        with lock_folder(folder, waits=True) as lock:
+            lock.callback(shutil.rmtree, folder, ignore_errors=True)
             # another process may have taken it for a leftover, and removed it, before it was locked
             if folder.exists():
                 yield folder
                 return
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
-            if lock is not None:
-                os.close(lock)
 
 
 def _unfinished(root: Path, name: str) -> list[Path]:
@@ -316,40 +312,40 @@ def remove_abandoned(folder: Path) -> bool:
 
     Without locks, as on Windows, it stays.
     """
-    lock = lock_folder(folder)
-    if lock is None:
-        return False
-    try:
-        shutil.rmtree(folder, ignore_errors=True)
-    finally:
-        os.close(lock)
-    return not folder.exists()
+    with lock_folder(folder) as lock:
+        if lock.is_held:
+            shutil.rmtree(folder, ignore_errors=True)
+        return lock.is_held and not folder.exists()
 
 
-def lock_folder(folder: Path, *, waits: bool = False, is_shared: bool = False, is_told: bool = False) -> int | None:
-    """A descriptor that holds the lock of a folder; None if another one does, or if there are no locks here.
+class FolderLock(ExitStack):
+    """The lock of a folder, until it is closed; not held if another one holds it, or if there are no locks here."""
+
+    is_held = False
+
+
+def lock_folder(folder: Path, *, waits: bool = False, is_shared: bool = False, is_told: bool = False) -> FolderLock:
+    """Takes the lock of a folder.
 
     Args:
         waits: whether to wait for the lock.
         is_shared: hold it with others that share it, but not while one holds it alone.
-        is_told: raise BlockingIOError if another one holds it, in place of returning None.
+        is_told: raise BlockingIOError if another one holds it.
     """
+    lock = FolderLock()
     try:
         import fcntl
-    except ImportError:  # not a POSIX system
-        return None
-    descriptor = None
-    try:
+
         descriptor = os.open(folder, os.O_RDONLY)
+        lock.callback(os.close, descriptor)
         kind = fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX
         fcntl.flock(descriptor, kind if waits else kind | fcntl.LOCK_NB)
-    except OSError as error:
-        if descriptor is not None:
-            os.close(descriptor)
+        lock.is_held = True
+    except (ImportError, OSError) as error:  # only POSIX systems have fcntl
+        lock.close()
         if is_told and isinstance(error, BlockingIOError):
             raise
-        return None
-    return descriptor
+    return lock
 
 
 def _require_free(out: Path, may_replace: Callable[[Path], bool]) -> None:

@@ -110,7 +110,7 @@ def test_a_folder_that_vanishes_before_it_is_locked_is_made_again(
 ) -> None:
     lock, removed = files.lock_folder, list[Path]()
 
-    def late(folder: Path, *, waits: bool = False) -> int | None:
+    def late(folder: Path, *, waits: bool = False) -> files.FolderLock:
         if not removed:
             removed.append(folder)
             folder.rmdir()

@@ -37,11 +37,8 @@ class FunctionDetector:
 
     def __init__(self, function: Callable[[Any], Sequence[Box2D]]) -> None:
         self._function = function
-
-    @property
-    def fingerprint(self) -> str:
-        """The function's name, because its behaviour cannot be hashed."""
-        return f"{self._function.__module__}.{getattr(self._function, '__qualname__', type(self._function).__name__)}"
+        # its behaviour cannot be hashed
+        self.fingerprint = f"{function.__module__}.{getattr(function, '__qualname__', type(function).__name__)}"
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
         """The boxes of each image, best score first; for a `Region`, the boxes of the whole image clipped to it."""

@@ -73,10 +73,11 @@ class PerfectDetector:
             seed: seed of the noise, which depends on the image, not on the order of calls.
             min_points: objects with fewer points in the cloud are not detected.
         """
+        self.labels = tuple(sorted({truth.label for scene in scenes for truth in scene.truths}))
         self._scenes = {scene.key: scene for scene in scenes}
         if len(self._scenes) != len(scenes):
             raise ValueError("two frames have the same key")
-        self._kind, self._jitter, self._seed, self._min_points = kind, jitter, seed, min_points
+        self.box_kind, self._jitter, self._seed, self._min_points = kind, jitter, seed, min_points
 
     @classmethod
     def for_frame(
@@ -91,18 +92,9 @@ class PerfectDetector:
         return cls([Scene.of(frame, truths)], kind, jitter, seed)
 
     @property
-    def box_kind(self) -> BoxKind:
-        return self._kind
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """The classes of the objects, sorted."""
-        return tuple(sorted({t.label for scene in self._scenes.values() for t in scene.truths}))
-
-    @property
     def fingerprint(self) -> str:
         """Hash of the boxes and the settings."""
-        digest = hashlib.sha256(f"{self._kind} {self._jitter} {self._seed} {self._min_points}".encode())
+        digest = hashlib.sha256(f"{self.box_kind} {self._jitter} {self._seed} {self._min_points}".encode())
         for key, scene in sorted(self._scenes.items()):
             digest.update(key.encode())
             for truth in scene.truths:
@@ -142,7 +134,7 @@ class PerfectDetector:
         boxes = []
         for index in np.argsort(scene.points, kind="stable")[::-1]:
             truth = scene.truths[index]
-            if self._kind is BoxKind.BOX:
+            if self.box_kind is BoxKind.BOX:
                 box = box_on_image(scene.camera, truth.box, truth.label, MIN_SIDE_PX)
             else:
                 xyz_m = scene.xyz_m[contains(truth.box, scene.xyz_m)]
@@ -170,7 +162,7 @@ class PerfectDetector:
             truth, points = scene.truths[index], scene.points[index]
             if points < self._min_points or shown[index] < max(LEAST_SHOWN, LEAST_SHARE_SHOWN * points):
                 continue
-            if self._kind is BoxKind.BOX:
+            if self.box_kind is BoxKind.BOX:
                 xyz = box_corners(truth.box)
             else:
                 xyz = view.xyz_m[contains(truth.box, view.xyz_m)].astype(np.float64)
@@ -228,17 +220,8 @@ class NearestCluster:
         """
         if not labels or not gap_m > 0 or not 0 <= min_share <= 1:
             raise ValueError(f"needs a label, gap_m > 0 and min_share in 0..1, not {labels}, {gap_m} and {min_share}")
-        self._labels, self._gap_m, self._min_share = labels, gap_m, min_share
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """The class names."""
-        return self._labels
-
-    @property
-    def fingerprint(self) -> str:
-        """The settings as text."""
-        return f"nearest-cluster-1 {self._labels} {self._gap_m} {self._min_share}"
+        self.labels, self._gap_m, self._min_share = labels, gap_m, min_share
+        self.fingerprint = f"nearest-cluster-1 {labels} {gap_m} {min_share}"
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
         """One box per class on each pseudo-view; no box on a view without points."""
@@ -260,7 +243,7 @@ class NearestCluster:
         span = np.stack([xy.min(axis=0), xy.max(axis=0)], axis=1)
         # points are treated as one pixel wide, so that a flat cluster has a valid box
         half = view.metres_per_px / 2
-        return [view.box_px(span + np.array([-half, half]), label) for label in self._labels]
+        return [view.box_px(span + np.array([-half, half]), label) for label in self.labels]
 
     def _nearest(self, xyz_m: Float32[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
         """Which points belong to the cluster; for speed, grid cells of half the gap are linked instead of points."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import os
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -227,14 +226,10 @@ def train_detector(
         begun = state.run
     resumed = None if state is None else checkpoint
     watch = Watch(dataset, manifest, config, role, out, device, begun, weights, resumed, progress, stop)
-    lock = lock_folder(out)  # nobody takes this run for one that was killed
-    try:
+    with lock_folder(out):  # nobody takes this run for one that was killed
         if state is None or state.epoch + 1 < watch.epochs:
             _run(watch, 0 if state is None else state.epoch + 1)
         return _finish(watch)
-    finally:
-        if lock is not None:
-            os.close(lock)
 
 
 def _run(watch: Watch, epochs_done: int) -> None:

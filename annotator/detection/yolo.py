@@ -20,7 +20,7 @@ from jaxtyping import Float, Float32, Float64, Int64, UInt8
 
 from annotator.detection.backends.choose import open_network
 from annotator.detection.backends.network import Answer
-from annotator.detection.config import Backend, DetectorConfig
+from annotator.detection.config import DetectorConfig
 from annotator.files import NETWORK_BYTES, read_file
 from annotator.types import Box2D, Image, PseudoView, Region
 from annotator.types.errors import DetectionError
@@ -178,7 +178,16 @@ REVISION = 2
 
 
 class YoloDetector:
-    """A trained detector: takes RGB images of any size, returns boxes in pixels of each image."""
+    """A trained detector: takes RGB images of any size, returns boxes in pixels of each image.
+
+    Attributes:
+        labels: class names, in the order of the class numbers; a renamed one by its present name.
+        device: of the network, in torch's notation: "cpu", "cuda", "cuda:1", "mps".
+        fingerprint: SHA-256 of the weights file and the settings. The backend is not part of it. All backends that
+            `auto` chooses from give the same boxes, within a pixel and 0.01 of the score
+            (tests/detection/test_backends.py), so another machine may continue a batch. Boxes in bfloat16 differ only
+            slightly more (docs/detector_backends.md), so a change to or from it repeats no frames either.
+    """
 
     def __init__(self, weights: Path, config: DetectorConfig) -> None:
         self.weights = weights
@@ -190,35 +199,13 @@ class YoloDetector:
         except OSError as error:
             raise DetectionError(f"{weights}: cannot be read ({error.strerror}); train the detector again") from error
         self._network = open_network(weights, hashlib.sha256(content).hexdigest(), config)
+        self.backend, self.device = self._network.backend, self._network.device
+        names = (config.names.get(label, label) for label in self._network.facts.labels)
+        self.labels = tuple(dict.fromkeys(name for name in names if name is not None))
         settings = f"{REVISION} {config.image_size_px} {config.confidence} {config.iou}"
         if config.edge_errors:
             settings += f" {sorted((label, errors.model_dump_json()) for label, errors in config.edge_errors.items())}"
-        self._fingerprint = hashlib.sha256(content + settings.encode()).hexdigest()
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Class names, in the order of the class numbers; a renamed one by its present name."""
-        names = (self._config.names.get(label, label) for label in self._network.facts.labels)
-        return tuple(dict.fromkeys(name for name in names if name is not None))
-
-    @property
-    def backend(self) -> Backend:
-        return self._network.backend
-
-    @property
-    def device(self) -> str:
-        """Device of the network, in torch's notation: "cpu", "cuda", "cuda:1", "mps"."""
-        return self._network.device
-
-    @property
-    def fingerprint(self) -> str:
-        """SHA-256 of the weights file and the settings.
-
-        The backend is not part of it. All backends that `auto` chooses from give the same boxes, within a pixel and
-        0.01 of the score (tests/detection/test_backends.py), so another machine may continue a batch. Boxes in bfloat16
-        differ only slightly more (docs/detector_backends.md), so a change to or from it repeats no frames either.
-        """
-        return self._fingerprint
+        self.fingerprint = hashlib.sha256(content + settings.encode()).hexdigest()
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
         """One list of boxes per image, best score first, clipped to the image."""

@@ -17,7 +17,6 @@ from pydantic import AfterValidator, BaseModel, Field, JsonValue, ValidationErro
 
 from annotator.files import lock_folder, private_folder, read_file, sync_folder, write_atomic
 from annotator.project.classes.attributes import Attribute, ClassStyle
-from annotator.project.database.migrations import UNRELEASED
 from annotator.project.rows import Terms
 from annotator.text import is_within
 from annotator.types import BoxKind
@@ -166,11 +165,8 @@ def read_config(folder: Path) -> ProjectFile:
             return ProjectFile.model_validate_json(content)
     except ValidationError as error:
         raise ProjectError(f"{path}: {first_problem(error)}; repair it or {RESTORE}") from error
-    if version < FORMAT_VERSION:
-        raise ProjectError(f"{path}: {UNRELEASED}")
-    raise ProjectError(
-        f"{path}: has format version {version}; this annotator reads up to {FORMAT_VERSION}; update annotator"
-    )
+    remedy = "update annotator" if version > FORMAT_VERSION else "use the version that made it"
+    raise ProjectError(f"{path}: has format version {version}, but this annotator reads {FORMAT_VERSION}; {remedy}")
 
 
 def write_config(folder: Path, config: ProjectFile) -> None:
@@ -209,7 +205,7 @@ def mark_in_use(opened: object, folder: Path) -> Callable[[], object]:
     marked.
     """
     lock = lock_folder(folder, is_shared=True, waits=True)
-    return (lambda: None) if lock is None else weakref.finalize(opened, os.close, lock)
+    return weakref.finalize(opened, lock.close)
 
 
 @contextmanager
@@ -222,11 +218,8 @@ def not_in_use(folder: Path) -> Iterator[None]:
             f"{folder}: another process has this project open; if it is a server, use its start page, or stop it; "
             "if it is a command, wait until it is done"
         ) from None
-    try:
+    with lock:
         yield
-    finally:
-        if lock is not None:
-            os.close(lock)
 
 
 # Renaming and setting aside are one rename, which other processes notice: the store refuses to write to a database that

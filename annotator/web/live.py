@@ -14,16 +14,14 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from fastapi import FastAPI, Request, Response, WebSocket
-from jaxtyping import Float64, UInt8
+from jaxtyping import UInt8
 
 from annotator.detection.config import Backend
-from annotator.geometry.outline import heading_px, visible_edges
 from annotator.project import Project
 from annotator.rcv.finish import FrameProposals
-from annotator.types import Box2D, Frame, ReviewState
+from annotator.types import Frame, ReviewState
 from annotator.types.messages import amount
 from annotator.web.limits import limited_log
 from annotator.web.security import Guard, ServerSettings, check_settings
@@ -33,6 +31,7 @@ from annotator.web.viewport.guides import Look
 from annotator.web.viewport.scene import Scene
 from annotator.web.viewport.viser_page import ViserPage, forward_http, forward_socket
 from annotator.workflows.detectors import active_detectors, stand_in
+from annotator.workflows.drawn_boxes import Canvas
 from annotator.workflows.live.detection import Detected, LiveDetection
 from annotator.workflows.live.open_source import open_source
 from annotator.workflows.live.pipeline import Figures, Pipeline
@@ -72,11 +71,6 @@ def sigterm_as_interrupt() -> Iterator[Callable[[], None]]:
 # About the width of the panel beside the 3D view, pixels.
 WIDTH_PX = 640
 BOX_COLOR, SOLID_COLOR, LOST_COLOR = (255, 214, 10), (240, 120, 40), (154, 161, 173)
-# Length of the head of a heading's arrow, pixels of the drawn image.
-HEAD_PX = 10
-FONT, FONT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
-# Number of fractional bits of pixel coordinates for cv2.
-SHIFT = 4
 
 
 def draw_detections(frame: Frame, detections: FrameProposals, width_px: int = WIDTH_PX) -> UInt8[np.ndarray, "h w 3"]:
@@ -84,45 +78,13 @@ def draw_detections(frame: Frame, detections: FrameProposals, width_px: int = WI
 
     Image boxes without a 3D box are grey.
     """
-    scale = min(width_px / frame.camera.width_px, 1.0)
-    size = (round(scale * frame.camera.width_px), round(scale * frame.camera.height_px))
-    image = cv2.resize(frame.rgb, size, interpolation=cv2.INTER_AREA) if scale < 1 else frame.rgb.copy()
+    canvas = Canvas(frame.rgb, min(width_px / frame.camera.width_px, 1.0))
     for lost in detections.lost:
-        _draw_rectangle(image, lost.image_box, scale, LOST_COLOR, lost.label)
+        canvas.box(lost.image_box, LOST_COLOR, lost.label)
     for proposal in detections.proposals:
-        _draw_rectangle(image, proposal.image_box, scale, BOX_COLOR, f"{proposal.label} {proposal.score:.2f}")
-        (edges,) = visible_edges(frame.camera, [proposal.box])
-        for line in (*edges, *heading_px(frame.camera, proposal.box, HEAD_PX / scale)):
-            points = _fixed_point(_scaled(line, scale))
-            cv2.polylines(image, [points], False, SOLID_COLOR, 2, cv2.LINE_AA, SHIFT)
-    return image
-
-
-def _draw_rectangle(
-    image: UInt8[np.ndarray, "h w 3"], box: Box2D, scale: float, color: tuple[int, int, int], text: str
-) -> None:
-    edges = np.array([[box.x_min, box.y_min], [box.x_max, box.y_max]])
-    first, last = (tuple(map(int, corner)) for corner in _fixed_point(_scaled(edges, scale)))
-    cv2.rectangle(image, first, last, color, 1, cv2.LINE_AA, SHIFT)
-    _write(image, text, (first[0] >> SHIFT, first[1] >> SHIFT), color)
-
-
-def _write(image: UInt8[np.ndarray, "h w 3"], text: str, corner: tuple[int, int], color: tuple[int, int, int]) -> None:
-    """Writes a line above a box's upper left corner, or below it at the image's upper border."""
-    (width, height), below = cv2.getTextSize(text, FONT, FONT_SIZE, 1)
-    left, line = max(corner[0], 0), height + below + 2
-    bottom = corner[1] if corner[1] >= line else corner[1] + line
-    cv2.rectangle(image, (left, bottom - line), (left + width + 2, bottom), (20, 20, 20), cv2.FILLED)
-    cv2.putText(image, text, (left + 1, bottom - below), FONT, FONT_SIZE, color, 1, cv2.LINE_AA)
-
-
-def _scaled(px: Float64[np.ndarray, "k 2"], scale: float) -> Float64[np.ndarray, "k 2"]:
-    """Pixel coordinates on the scaled image; (0, 0) is the centre of the first pixel on both."""
-    return (px + 0.5) * scale - 0.5
-
-
-def _fixed_point(px: Float64[np.ndarray, "k 2"]) -> np.ndarray:
-    return np.round(px * (1 << SHIFT)).astype(np.int32)
+        canvas.box(proposal.image_box, BOX_COLOR, f"{proposal.label} {proposal.score:.2f}")
+        canvas.solid(frame.camera, proposal.box, SOLID_COLOR)
+    return canvas.rgb
 
 
 # Limit of shown points, which are sent many times per second.

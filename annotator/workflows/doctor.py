@@ -5,16 +5,15 @@ The checks run in a process of their own, so a library that crashes or hangs cos
 
 from __future__ import annotations
 
-import multiprocessing
-import multiprocessing.connection
 import os
 import platform
 import re
 import shutil
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from enum import StrEnum
 from functools import partial
 from importlib import import_module
@@ -27,6 +26,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import annotator
+from annotator.child import Child, parent
 from annotator.detection.backends.choose import Network, chosen, open_network
 from annotator.detection.backends.network import Answer, usable_cores
 from annotator.detection.config import Backend, DetectorConfig
@@ -436,34 +436,25 @@ def without_home(found: Line) -> Line:
 
 def _in_process(checks: tuple[Check, ...], projects: Path, limit_s: float) -> Iterator[list[Line]]:
     """Yields the lines of each check, all run in one process, up to the first check that crashes it or hangs."""
-    context = multiprocessing.get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(checks, projects, sender), daemon=True)
-    process.start()
-    sender.close()
-    try:
+    with closing(Child(f"{__name__}:main")) as child:
+        child.send((checks, projects))
         for check in checks:
-            if not receiver.poll(limit_s):
-                yield [_lost(check, f"did not finish within {limit_s:.0f} s")]
-                return
+            begin_s = time.monotonic()
             try:
-                yield receiver.recv()
+                with child.within(limit_s):
+                    lines = child.receive()
             except EOFError:
-                process.join()
-                code = process.exitcode or 0
+                code, is_late = child.process.wait(), time.monotonic() - begin_s >= limit_s
                 ending = signal.Signals(-code).name if -code in signal.valid_signals() else f"exit code {code}"
-                yield [_lost(check, f"crashed ({ending})")]
+                yield [_lost(check, f"did not finish within {limit_s:.0f} s" if is_late else f"crashed ({ending})")]
                 return
-    finally:
-        process.kill()
-        process.join()
-        receiver.close()
+            yield lines
 
 
-def _work(checks: tuple[Check, ...], projects: Path, pipe: multiprocessing.connection.Connection) -> None:
+def main() -> None:
     """Runs in the other process: sends the lines of each check, the last of which tells of an exception."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # only the parent process ends this one
-    os.dup2(2, 1)  # output of libraries goes to standard error, because the report is printed to standard output
+    pipe = parent()
+    checks, projects = pipe.receive()
     for check in checks:
         lines: list[Line] = []
         try:

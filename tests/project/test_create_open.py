@@ -27,7 +27,6 @@ from annotator.project import (
     list_projects,
     open_project,
 )
-from annotator.project.backup.repair import repair
 from annotator.project.backup.verify import verify
 from annotator.project.classes import edit
 from annotator.project.config import read_config, rename_project
@@ -123,7 +122,7 @@ def _truncate(folder: Path) -> None:
         (lambda folder: (folder / "project.json").unlink(), "is not a project: it has no project.json"),
         (_overwrite("project.json", b"{"), "project.json: .*restore it"),
         (_overwrite("project.json", b'{"format_version": 3}'), "format version 3.*update annotator"),
-        (_overwrite("project.json", b'{"format_version": 1}'), "from before the first release"),
+        (_overwrite("project.json", b'{"format_version": 1}'), "use the version that made it"),
         (_overwrite("project.json", b'{"format_version": 2, "name": "x"}'), "Field required"),
         (damage("UPDATE classes SET position = NULL"), "needs at least one class; restore it"),
         (lambda folder: (folder / "project.db").unlink(), "project.db: is missing"),
@@ -303,22 +302,6 @@ def test_an_upgraded_database_keeps_its_content_and_has_the_tables_of_a_new_one(
         with closing(sqlite3.connect(folder / "project.db")) as connection:
             schemas.append(connection.execute("SELECT type, name, sql FROM sqlite_master ORDER BY name").fetchall())
     assert schemas[0] == schemas[1]
-
-
-def test_a_project_from_before_the_first_release_is_refused_with_the_way_out(full: Path) -> None:
-    database = full / "project.db"
-    with closing(sqlite3.connect(database)) as connection:
-        connection.execute(f"PRAGMA application_id = {int.from_bytes(b'Anno')}")
-        connection.execute("PRAGMA user_version = 19")
-    before = database.read_bytes()
-    refusal = "from before the first release of annotator.* export its labels with the version that made it"
-    for refused in (open_project, repair):
-        with pytest.raises(ProjectError, match=refusal):
-            refused(full)
-    assert [path.name for path in full.parent.iterdir()] == ["hands"]
-    (problem,) = verify(full).problems
-    assert "before the first release" in problem
-    assert database.read_bytes() == before
 
 
 def test_an_upgrade_that_is_killed_afterwards_leaves_a_database_that_opens(

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import pickle
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 from queue import SimpleQueue
 
-from annotator.web.jobs.records import PAUSE, STOP, WORKER_MESSAGE, Order, WorkerMessage
+from annotator.web.jobs.records import PAUSE, STOP, Order, WorkerMessage
 from annotator.web.jobs.worker import Orders, run
 
 
@@ -26,7 +27,8 @@ class WorkerThread:
 
     def _send(self, message: WorkerMessage) -> None:
         # as if it came from another process
-        self._sent.put(WORKER_MESSAGE.validate_json(message.model_dump_json()))
+        copied: WorkerMessage = pickle.loads(pickle.dumps(message))
+        self._sent.put(copied)
 
     def messages(self) -> Iterator[WorkerMessage]:
         yield from iter(self._sent.get, None)

@@ -10,7 +10,6 @@ import logging
 import os
 import shutil
 import subprocess
-import sys
 import time
 import zipfile
 from collections.abc import Iterator
@@ -23,6 +22,7 @@ import pytest
 from live_server import PATIENCE_S, ended, look, running
 from test_events import listen, next_of
 
+from annotator.child import Child
 from annotator.project import Project, WriteContext, create_project, open_project
 from annotator.project.backup.make import Reason, automatic_backups
 from annotator.project.backup.take_in import restore
@@ -38,12 +38,16 @@ from annotator.web.jobs.records import (
     FILE,
     PAUSE,
     WORK,
+    Ended,
     JobState,
+    Order,
+    ProposeRequest,
     TrainRequest,
+    WorkerMessage,
     expected_s,
     read_journal,
 )
-from annotator.web.jobs.runner import EXPORTS_KEPT, JOBS_KEPT, JobRunner
+from annotator.web.jobs.runner import EXPORTS_KEPT, JOBS_KEPT, WORKER, JobRunner
 from annotator.web.jobs.worker import NICENESS
 from annotator.web.security import ServerSettings
 from annotator.workflows.recorded.own_labels import import_own_labels
@@ -194,24 +198,39 @@ def test_a_damaged_journal_is_an_empty_one(tmp_path: Path) -> None:
 
 
 def test_a_worker_ends_when_its_server_has_died(fake: None, web_settings: ServerSettings, tmp_path: Path) -> None:
-    order = {
-        "target": "fake_jobs:work",
-        "project": str(web_settings.projects_root / "room"),
-        "folder": str(tmp_path),
-        "operator": "Ada",
-        "request": {"kind": "propose", "limit": fake_jobs.LONG},
-    }
-    command = [sys.executable, "-m", "annotator.web.jobs.worker"]
-    worker = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    order = Order(
+        target="fake_jobs:work",
+        project=web_settings.projects_root / "room",
+        folder=tmp_path,
+        operator="Ada",
+        request=ProposeRequest(kind="propose", limit=fake_jobs.LONG),
     )
-    assert worker.stdin is not None and worker.stdout is not None
-    worker.stdin.write(json.dumps(order) + "\n")
-    worker.stdin.flush()
-    assert "on and on" in worker.stdout.readline()
-    worker.stdin.close()
-    assert worker.wait(15) == 0
-    worker.stdout.close()
+    worker = Child(WORKER, errors=subprocess.DEVNULL)
+    worker.send(order)
+    assert worker.receive().stage == "on and on"
+    assert worker.process.stdin is not None
+    worker.process.stdin.close()
+    assert worker.process.wait(15) == 0
+    worker.close()
+
+
+def test_a_worker_ends_well_while_it_waits_for_orders(fake: None, web_settings: ServerSettings, tmp_path: Path) -> None:
+    order = Order(
+        target="fake_jobs:work",
+        project=web_settings.projects_root / "room",
+        folder=tmp_path,
+        operator="Ada",
+        request=ProposeRequest(kind="propose", limit=fake_jobs.QUICK),
+    )
+    worker = Child(WORKER, {"OMP_WAIT_POLICY": "PASSIVE"}, subprocess.DEVNULL)
+    worker.send(order)
+    messages: list[WorkerMessage] = []
+    with pytest.raises(EOFError):
+        while True:
+            messages.append(worker.receive())
+    assert isinstance(messages[-1], Ended) and messages[-1].message == "counted to 2"
+    assert worker.process.wait(15) == 0
+    worker.close()
 
 
 INVALID = (

@@ -11,8 +11,8 @@ import logging
 import os
 import re
 import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -27,7 +27,7 @@ from annotator.detection.backends.openvino_network import openvino
 from annotator.detection.backends.torch_network import raw_network
 from annotator.detection.ultralytics_api import api, cache_dir, forget_oldest
 from annotator.detection.weights import open_tensors
-from annotator.files import NETWORK_BYTES, read_file, write_atomic
+from annotator.files import NETWORK_BYTES, FolderLock, lock_folder, read_file, write_atomic
 from annotator.types.errors import DetectionError
 
 # Keeps parts of the detection head in single precision while OpenVINO computes the network in bfloat16.
@@ -118,7 +118,6 @@ def export(weights: Path) -> Export:
         ) from error
 
 
-LOCK = "exports.lock"
 # Increase when this code changes its output for the same weights and packages.
 REVISION = 3
 # An export is repeated when the version of one of these packages changes.
@@ -131,26 +130,16 @@ def export_key(weights_sha256: str) -> str:
     return hashlib.sha256(inputs.encode()).hexdigest()
 
 
-@contextmanager
-def one_at_a_time() -> Iterator[None]:
+def one_at_a_time() -> FolderLock:
     """A lock with which only one process of the user converts at a time.
 
     Workers start together, one per core. If each loaded torch at once, the machine could run out of memory. The
     operating system releases the lock when a process dies. Without file locks (Windows), processes do not wait.
     """
-    try:
-        import fcntl
-
-        path = cache_dir() / LOCK
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = path.open("w")
-    except (ImportError, OSError):
-        yield
-        return
-    with file:
-        with suppress(OSError):
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield
+    folder = _place("").parent
+    with suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+    return lock_folder(folder, waits=True)
 
 
 def find_export(key: str) -> Export | None:

@@ -46,7 +46,6 @@ from annotator.project.backup.snapshot import (
 from annotator.project.classes.changing import KIND as CLASSES_CHANGED
 from annotator.project.classes.changing import set_up_classes
 from annotator.project.config import CONFIG_FILE, ProjectConfig, ProjectFile, read_config, write_config
-from annotator.project.database.migrations import UNRELEASED, version_problem
 from annotator.project.database.schema import AUDITED, columns_of, events, frames, unpacked
 from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained, wal_of
 from annotator.project.log import next_revision
@@ -108,8 +107,7 @@ def repair(project: Path, new_name: str | None = None) -> Repaired:
         stack.callback(store.close)
         try:
             with _damaged(copy) as source:
-                if version_problem(source) == UNRELEASED:
-                    raise ProjectError(f"{database}: {UNRELEASED}")
+                source.execute("PRAGMA user_version").fetchone()  # an error for what is no database at all
                 _copy_plain(source, store, repaired.lost, _PLAIN)
                 _replay(source, store, repaired)
                 _copy_plain(source, store, repaired.lost, ("passes",))  # which refer to events

@@ -18,13 +18,6 @@ Migration = tuple[str, ...]
 """The statements of one migration, in order."""
 
 APPLICATION_ID = 0x416E6E51  # "AnnQ": distinguishes project databases from other SQLite files
-# "Anno", "Annt" and "AnnP": databases from before the first release.
-_UNRELEASED_IDS = (0x416E6E6F, 0x416E6E74, 0x416E6E50)
-
-UNRELEASED = (
-    "belongs to a project from before the first release of annotator, which this version cannot read; export its "
-    "labels with the version that made it, and import them into a new project"
-)
 
 
 def newest_version() -> int:
@@ -37,8 +30,6 @@ def version_problem(connection: sqlite3.Connection) -> str | None:
     application_id, version = (
         connection.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")
     )
-    if application_id in _UNRELEASED_IDS:
-        return UNRELEASED
     if application_id != APPLICATION_ID:
         return f"is an SQLite database, but not a project database; {RESTORE}"
     if version < 1:

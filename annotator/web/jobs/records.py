@@ -9,7 +9,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import Field, TypeAdapter, ValidationError, field_validator
+from pydantic import Field, ValidationError, field_validator
 
 from annotator.detection.config import MOST_MINUTES
 from annotator.files import TABLE_BYTES, link_out, private_folder, read_file, write_atomic
@@ -298,7 +298,7 @@ def _ended(job: Job) -> Job:
 
 
 # Orders to a running worker; PAUSE is for jobs in the background.
-STOP, PAUSE = "stop\n", "pause\n"
+STOP, PAUSE = "stop", "pause"
 
 
 class Order(Schema):
@@ -323,7 +323,6 @@ class Order(Schema):
 class Progress(Schema):
     """The progress of the job."""
 
-    type: Literal["progress"] = "progress"
     stage: str
     done: float
     total: float
@@ -332,14 +331,12 @@ class Progress(Schema):
 class Measured(Schema):
     """A new point of the training curves."""
 
-    type: Literal["measured"] = "measured"
     point: CurvePoint
 
 
 class Ended(Schema):
     """The end of the job. `is_fault`: it is an unexpected exception, whose message is for the log only."""
 
-    type: Literal["ended"] = "ended"
     state: Literal[JobState.DONE, JobState.CANCELLED, JobState.FAILED]
     message: str
     result: dict[str, Any] | None = None
@@ -347,7 +344,6 @@ class Ended(Schema):
 
 
 WorkerMessage = Progress | Measured | Ended
-WORKER_MESSAGE = TypeAdapter[WorkerMessage](Annotated[WorkerMessage, Field(discriminator="type")])
 
 
 class JobStoppedError(AnnotatorError):

@@ -7,7 +7,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import threading
 import time
 import traceback
@@ -19,8 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import ValidationError
-
+from annotator.child import Child
 from annotator.files import end_of_file, make_private, private_folder
 from annotator.text import is_within
 from annotator.types.errors import ConfigError, InUseError, NotFoundError
@@ -31,7 +29,6 @@ from annotator.web.jobs.records import (
     SERVER_STOPPED,
     STOP,
     WORK,
-    WORKER_MESSAGE,
     Ended,
     Job,
     JobRequest,
@@ -51,6 +48,7 @@ LOG = logging.getLogger("annotator.web")
 
 # Work stops at its next batch; a worker that takes longer than this is assumed to hang.
 GRACE_S, KILL_AFTER_S = 15.0, 5.0
+WORKER = "annotator.web.jobs.worker:main"
 
 
 class WorkerProcess:
@@ -58,66 +56,43 @@ class WorkerProcess:
 
     def __init__(self, order: Order, log: Path) -> None:
         make_private(log)
+        # waiting OpenMP threads must not occupy the server's cores; Ctrl-C goes to the server, which stops its workers
         with log.open("wb") as errors:
-            self._process = subprocess.Popen(
-                # -P: never imports modules from the current folder
-                [sys.executable, "-P", "-m", "annotator.web.jobs.worker"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=errors,
-                text=True,
-                encoding="utf-8",
-                # waiting OpenMP threads must not occupy the server's cores
-                env={**os.environ, "OMP_WAIT_POLICY": "PASSIVE"},
-                # Ctrl-C at the terminal goes to the server only, which stops its workers
-                start_new_session=True,
-            )
-        self._write(order.model_dump_json() + "\n")
+            self._child = Child(WORKER, {"OMP_WAIT_POLICY": "PASSIVE"}, errors, in_session=True)
+        self._child.send(order)
 
     def messages(self) -> Iterator[WorkerMessage]:
         """Yields the worker's messages until it has ended."""
-        assert self._process.stdout is not None and self._process.stdin is not None
-        for line in self._process.stdout:
-            try:
-                yield WORKER_MESSAGE.validate_json(line)
-            except ValidationError:
-                LOG.warning("invalid message from a worker: %s", line[:200])
-        self._process.wait()
-        self._process.stdout.close()
-        with suppress(BrokenPipeError):
-            self._process.stdin.close()
+        with suppress(EOFError):
+            while True:
+                yield self._child.receive()
+        self._child.process.wait()
+        self._child.close()
 
     @property
     def exit_code(self) -> int | None:
         """The exit code, negative for a signal; None while it runs."""
-        return self._process.poll()
+        return self._child.process.poll()
 
     def stop(self, grace_s: float | None = None) -> None:
         """Asks the worker to stop; terminates it after `grace_s`, and kills it `KILL_AFTER_S` seconds later."""
-        self._write(STOP)
+        self._child.send(STOP)
         waits_s = (GRACE_S if grace_s is None else grace_s), KILL_AFTER_S
         threading.Thread(target=self._end, args=waits_s, daemon=True).start()
 
     def pause(self) -> None:
         """Asks the worker to wait for a moment at its next safe point."""
-        self._write(PAUSE)
+        self._child.send(PAUSE)
 
     def _end(self, *waits_s: float) -> None:
         for wait_s, number in zip(waits_s, (signal.SIGTERM, signal.SIGKILL), strict=True):
             try:
-                self._process.wait(wait_s)
+                self._child.process.wait(wait_s)
                 return
             except subprocess.TimeoutExpired:
                 with suppress(ProcessLookupError):
                     # the worker's session includes its child processes
-                    os.killpg(self._process.pid, number)
-
-    def _write(self, text: str) -> None:
-        assert self._process.stdin is not None
-        # `messages` handles a worker that has ended
-        with suppress(BrokenPipeError, ValueError):
-            self._process.stdin.write(text)
-            self._process.stdin.flush()
+                    os.killpg(self._child.process.pid, number)
 
 
 # Number of listed jobs, of downloads kept per project, and of jobs that may wait.
@@ -440,7 +415,7 @@ def _public(value: Any, public_message: PublicMessage) -> Any:
             return public_message(value)
         case dict():
             return {name: _public(entry, public_message) for name, entry in value.items()}
-        case list():
+        case list() | tuple():
             return [_public(entry, public_message) for entry in value]
         case _:
             return value

@@ -1,26 +1,27 @@
-"""`python -m annotator.web.jobs.worker`: the process of one job.
+"""The process of one job.
 
-The first line of standard input is the order. "pause" holds a job in the background for a moment, at a safe point.
-Another line, or the end of standard input, asks the worker to stop, so that it also ends when its server has died.
-Messages to the server go to standard output, one per line; the output of libraries goes to standard error.
+It gets its `Order`, and then orders: "pause" holds a job in the background for a moment, at a safe point; "stop", or no
+more orders, asks it to stop, so that it also ends when its server has died. It sends `WorkerMessage`s; what libraries
+print goes to standard error.
 """
 
 from __future__ import annotations
 
 import os
-import sys
 import threading
 import time
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import TextIO
 
+from annotator.child import Pipe, parent
 from annotator.project import open_project
 from annotator.types.errors import AnnotatorError
 from annotator.web.jobs.records import (
     PAUSE,
+    STOP,
     Ended,
     JobContext,
     JobState,
@@ -44,15 +45,15 @@ PAUSE_S = 4.0
 
 
 class MessageWriter:
-    """Writes messages to the server. Thread-safe."""
+    """Sends messages to the server. Thread-safe."""
 
-    def __init__(self, out: TextIO) -> None:
-        self._out = out
+    def __init__(self, server: Pipe) -> None:
+        self._server = server
         self._lock = threading.Lock()
         self._last_s, self._stage = 0.0, ""
 
     def send(self, message: WorkerMessage) -> None:
-        """Writes one line; drops frequent progress messages within the same stage."""
+        """Sends a message; drops frequent progress messages within the same stage."""
         with self._lock:
             if isinstance(message, Progress):
                 now = time.monotonic()
@@ -60,23 +61,19 @@ class MessageWriter:
                 if message.stage == self._stage and is_recent and message.done < message.total:
                     return
                 self._last_s, self._stage = now, message.stage
-            try:
-                self._out.write(message.model_dump_json() + "\n")
-                self._out.flush()
-            except (BrokenPipeError, ValueError):
-                # the server has died; the end of standard input stops the work
-                return
+        # if the server has died, the end of its orders stops the work
+        with suppress(OSError, ValueError):
+            self._server.send(message)
 
 
-def main() -> int:
-    """Runs the job and reports its end to the server; returns the exit code."""
-    writer = MessageWriter(_own_output())
-    order = Order.model_validate_json(sys.stdin.readline())
+def main() -> None:
+    """Runs the job and reports its end to the server."""
+    server = parent()
+    order: Order = server.receive()
     lower_priority(BACKGROUND_NICENESS if in_background(order.request) else NICENESS)
     orders = Orders()
-    threading.Thread(target=_read_orders, args=(orders,), daemon=True).start()
-    run(order, writer.send, orders)
-    return 0
+    threading.Thread(target=_take_orders, args=(server, orders), daemon=True).start()
+    run(order, MessageWriter(server).send, orders)
 
 
 def run(order: Order, send: Callable[[WorkerMessage], None], orders: Orders) -> None:
@@ -124,9 +121,8 @@ class Orders:
     def __init__(self) -> None:
         self._stop, self._paused_until_s = threading.Event(), 0.0
 
-    def take(self, line: str) -> None:
-        """Takes an order; the end of the input is an order to stop."""
-        if line == PAUSE:
+    def take(self, order: str) -> None:
+        if order == PAUSE:
             self._paused_until_s = time.monotonic() + PAUSE_S
         else:
             self._stop.set()
@@ -138,21 +134,11 @@ class Orders:
         return self._stop.is_set()
 
 
-def _own_output() -> TextIO:
-    """Reserves standard output for messages; other prints are redirected to standard error."""
-    out = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)
-    return out
-
-
-def _read_orders(orders: Orders) -> None:
-    while (line := sys.stdin.readline()) == PAUSE:
-        orders.take(line)
-    orders.take(line)
-    if not line:
+def _take_orders(server: Pipe, orders: Orders) -> None:
+    try:
+        while True:
+            orders.take(server.receive())
+    except EOFError:
+        orders.take(STOP)
         time.sleep(GIVE_UP_AFTER_S)
         os._exit(1)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -251,16 +251,8 @@ class _Timed:
     """A detector that adds up its run time."""
 
     def __init__(self, detector: Detector) -> None:
-        self._detector = detector
+        self._detector, self.labels, self.fingerprint = detector, detector.labels, detector.fingerprint
         self.seconds = 0.0
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        return self._detector.labels
-
-    @property
-    def fingerprint(self) -> str:
-        return self._detector.fingerprint
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
         begin = time.perf_counter()

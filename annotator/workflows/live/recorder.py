@@ -101,7 +101,7 @@ class Recorder:
         if self._thread.is_alive():
             self._waiting.put(None)
             self._thread.join()
-        self._unlock()
+        self._lock.close()
         if not self._writer.frames:
             rmtree(self._part, ignore_errors=True)
             return 0
@@ -129,13 +129,8 @@ class Recorder:
 
     def close(self) -> None:
         """Deletes the proposals."""
-        self._unlock()
+        self._lock.close()
         self._results.close()
-
-    def _unlock(self) -> None:
-        if self._lock is not None:
-            os.close(self._lock)
-            self._lock = None
 
     def _write(self) -> None:
         while (detected := self._waiting.get()) is not None:
@@ -185,7 +180,7 @@ def rescue(out: Path, report: Report) -> None:
             raise ConfigError(
                 f"{out}: another `annotator live` records to it; end that one, or record to another path"
             ) from error
-        try:
+        with lock:
             if frames := trim(part):
                 free = (out.with_name(f"{out.name}-rescued-{n}") for n in itertools.count(1))
                 rescued = next(path for path in free if not path.exists())
@@ -195,9 +190,6 @@ def rescue(out: Path, report: Report) -> None:
             else:
                 rmtree(part)
                 told = f"{part}: removed; it is from an interrupted recording without frames"
-        finally:
-            if lock is not None:
-                os.close(lock)
         report(told)
 
 

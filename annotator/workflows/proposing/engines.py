@@ -1,25 +1,22 @@
 """Engines that process the frames of a batch, by name; and the one of worker processes on this machine.
 
-Each worker has its own detectors and share of the cores, and never accesses the project's database. Its standard input:
-a pickled tuple (source of its detectors, threads, storage), then tasks; it ends when its input is closed, or when the
-driver dies. Its standard output: a pickled `Identity`, then answers; or a `Fault` and nothing else. Output of libraries
-is redirected to standard error.
+Each worker has its own detectors and share of the cores, and never accesses the project's database. It gets a tuple
+(source of its detectors, threads, storage), then tasks; it ends when the driver closes the pipe, or dies. It sends an
+`Identity`, then answers; or a `Fault` and nothing else.
 """
 
 from __future__ import annotations
 
 import os
-import pickle
 import queue
 import signal
-import subprocess
 import sys
 import threading
 import traceback
 from contextlib import suppress
 from enum import StrEnum
-from typing import BinaryIO
 
+from annotator.child import Child, Pipe, parent
 from annotator.detection.backends.choose import driver_devices, has_cuda
 from annotator.detection.backends.network import usable_cores
 from annotator.types.errors import ConfigError
@@ -31,38 +28,23 @@ from annotator.workflows.proposing.tasks import DetectorSource, Storage, Task
 THREADS = 2
 
 
-class _Output:
-    """The pickle stream to the driver. Thread-safe."""
-
-    def __init__(self) -> None:
-        self._stream: BinaryIO = os.fdopen(os.dup(1), "wb")
-        # redirects what libraries print to standard error
-        os.dup2(2, 1)
-        self._lock = threading.Lock()
-
-    def send(self, value: object) -> None:
-        with self._lock:
-            pickle.dump(value, self._stream)
-            self._stream.flush()
-
-
-def main() -> int:
-    """Runs tasks until the driver closes the standard input or dies."""
-    output = _Output()
+def main() -> None:
+    """Runs tasks until the driver closes the pipe or dies."""
+    driver = parent()
     try:
-        runner = make_runner(*pickle.load(sys.stdin.buffer))
-        output.send(runner.identity)
+        runner = make_runner(*driver.receive())
+        driver.send(runner.identity)
     except Exception as error:
-        output.send(fault_of(error))
-        return 0
+        driver.send(fault_of(error))
+        return
     tasks: queue.SimpleQueue[Task] = queue.SimpleQueue()
     for _ in range(THREADS):
-        threading.Thread(target=_work, args=(runner, tasks, output), daemon=True).start()
+        threading.Thread(target=_work, args=(runner, tasks, driver), daemon=True).start()
     try:
         while True:
-            tasks.put(pickle.load(sys.stdin.buffer))
-    except (EOFError, pickle.UnpicklingError):
-        # the driver has closed the input or died: unfinished tasks are not needed
+            tasks.put(driver.receive())
+    except EOFError:
+        # unfinished tasks are not needed
         os._exit(0)
 
 
@@ -76,10 +58,10 @@ def make_runner(source: DetectorSource, threads: int | None, storage: Storage) -
     return TaskRunner(source.load(threads), storage)
 
 
-def _work(runner: TaskRunner, tasks: queue.SimpleQueue[Task], output: _Output) -> None:
+def _work(runner: TaskRunner, tasks: queue.SimpleQueue[Task], driver: Pipe) -> None:
     try:
         while True:
-            output.send(runner.do(tasks.get()))
+            driver.send(runner.do(tasks.get()))
     except BaseException:
         # TaskRunner.do returns every error as an answer, so this process is broken: end it
         traceback.print_exc()
@@ -87,11 +69,6 @@ def _work(runner: TaskRunner, tasks: queue.SimpleQueue[Task], output: _Output) -
         os._exit(1)
 
 
-# Workers get the driver's module path. -P excludes the current folder, whose files might shadow modules.
-PROGRAM = (
-    "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
-    "from annotator.workflows.proposing.engines import main; sys.exit(main())"
-)
 # Read by the libraries when they are loaded. Without them, each worker would use all cores.
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -107,46 +84,25 @@ class LocalWorker:
         gpu: str | None = None,
     ) -> None:
         self.number, self._report = number, report
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-c", PROGRAM],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env={**os.environ, **environment(start[1]), **({} if gpu is None else {"CUDA_VISIBLE_DEVICES": gpu})},
-            # an interrupt at the terminal must reach the driver only, which then ends its workers
-            process_group=0 if os.name != "nt" else None,
-        )
-        self._write(sys.path)
-        self._write(start)
+        devices = {} if gpu is None else {"CUDA_VISIBLE_DEVICES": gpu}
+        self._child = Child(f"{__name__}:main", environment(start[1]) | devices)
+        self._child.send(start)
         threading.Thread(target=self._listen, name=f"worker {number}", daemon=True).start()
 
     def send(self, task: Task) -> None:
         """Sends a task; does nothing if the worker is dead."""
-        self._write(task)
+        self._child.send(task)
 
     def end(self) -> None:
-        with suppress(ProcessLookupError):
-            self._process.kill()
-        self._process.wait()
-
-    def _write(self, value: object) -> None:
-        assert self._process.stdin is not None
-        # the listening thread reports the worker's death
-        with suppress(BrokenPipeError, ValueError):
-            pickle.dump(value, self._process.stdin)
-            self._process.stdin.flush()
+        self._child.process.kill()
+        self._child.process.wait()
 
     def _listen(self) -> None:
-        assert self._process.stdout is not None and self._process.stdin is not None
-        with self._process.stdout as stream:
+        with suppress(EOFError):
             while True:
-                try:
-                    message = pickle.load(stream)
-                except (EOFError, pickle.UnpicklingError):  # also in the middle of an answer
-                    break
-                self._report(self.number, message)
-        code = self._process.wait()
-        with suppress(BrokenPipeError):
-            self._process.stdin.close()
+                self._report(self.number, self._child.receive())
+        code = self._child.process.wait()
+        self._child.close()
         self._report(self.number, Died(exit_reason(code)))
 
 

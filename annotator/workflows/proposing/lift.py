@@ -138,20 +138,13 @@ class RenamedDetector:
         self._detector = detector
         self._names = {label: names.get(label, label) for label in detector.labels}
         self._classes = set(classes)
-        if not self._classes & set(self._names.values()):
+        self.labels = tuple(sorted(self._classes & set(self._names.values())))
+        if not self.labels:
             raise ConfigError(
                 f"the detector has none of the classes {', '.join(classes)}, but {_listed(detector.labels)}; "
                 "map its classes with --classes"
             )
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        return tuple(sorted(self._classes & set(self._names.values())))
-
-    @property
-    def fingerprint(self) -> str:
-        """As `Detector.fingerprint`; depends on the names, too."""
-        return hashlib.sha256(f"{self._detector.fingerprint} {sorted(self._names.items())}".encode()).hexdigest()
+        self.fingerprint = hashlib.sha256(f"{detector.fingerprint} {sorted(self._names.items())}".encode()).hexdigest()
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
         return [

@@ -11,7 +11,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import UInt8
 
@@ -19,10 +18,11 @@ from annotator.detection.dataset import GENERATED, MANIFEST_NAME, DatasetManifes
 from annotator.detection.edge_errors import read_boxes
 from annotator.files import DOCUMENT_BYTES, open_text_file
 from annotator.formats.reading import read_model
-from annotator.geometry.outline import visible_edges
+from annotator.image_bytes import encoded_image
 from annotator.project import StoredModel
 from annotator.types import Box2D, Detector, Frame, OrientedBox
 from annotator.types.errors import DetectionError, FormatError
+from annotator.workflows.drawn_boxes import Canvas
 from annotator.workflows.training.held_out import DECISION_NAME, Decision, Found
 
 FOLDER = "validation"
@@ -30,7 +30,8 @@ PICTURES = 8
 SHOWN_FROM = 0.25
 # Smaller images are enlarged, so that lines and text do not cover the objects.
 LONG_SIDE_PX = 448
-COLOURS_BGR = ((60, 200, 255), (120, 220, 80), (255, 140, 80), (200, 110, 255), (90, 120, 255))
+WHITE = (255, 255, 255)
+COLOURS = ((255, 200, 60), (80, 220, 120), (80, 140, 255), (255, 110, 200), (255, 120, 90))
 
 
 def write_validation_pictures(dataset: Path, manifest: DatasetManifest, detector: Detector, model: Path) -> list[Path]:
@@ -55,16 +56,16 @@ def write_found_boxes(found: Sequence[Found], model: Path) -> None:
 
 
 def _write(drawn: Iterable[np.ndarray], model: Path) -> list[Path]:
-    """Writes images in BGR order beside a model, in place of those that are there."""
+    """Writes images beside a model, in place of those that are there."""
     folder = model / FOLDER
     temporary = Path(tempfile.mkdtemp(prefix=f".{FOLDER}.", dir=model))
     try:
-        for number, bgr in enumerate(drawn):
-            path = temporary / f"{number}.jpg"
-            if not cv2.imwrite(str(path), bgr, [cv2.IMWRITE_JPEG_QUALITY, 90]):
-                raise DetectionError(f"{path}: cannot be written; is the disk full?")
+        for number, rgb in enumerate(drawn):
+            (temporary / f"{number}.jpg").write_bytes(encoded_image(rgb, "jpg"))
         shutil.rmtree(folder, ignore_errors=True)
         temporary.rename(folder)
+    except OSError as error:
+        raise DetectionError(f"{folder}: cannot be written ({error.strerror or error}); is the disk full?") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     return validation_pictures(model)
@@ -86,44 +87,28 @@ def _chosen(manifest: DatasetManifest) -> list[str]:
 def _drawn(
     rgb: UInt8[np.ndarray, "h w 3"], boxes: Sequence[Box2D], classes: Sequence[str], truths: Sequence[Box2D]
 ) -> UInt8[np.ndarray, "h2 w2 3"]:
-    """Returns the image, enlarged, with true boxes in white, and boxes with their scores; BGR order."""
-    scale = max(LONG_SIDE_PX / max(rgb.shape[:2]), 1.0)
-    height, width = (round(side * scale) for side in rgb.shape[:2])
-    bgr = cv2.resize(np.ascontiguousarray(rgb[..., ::-1]), (width, height), interpolation=cv2.INTER_LINEAR)
+    """Returns the image, enlarged, with true boxes in white, and boxes with their scores."""
+    canvas = Canvas(rgb, max(LONG_SIDE_PX / max(rgb.shape[:2]), 1.0))
     for box in truths:
-        x_min, y_min, x_max, y_max = np.rint((np.array(box.xyxy) + 0.5) * scale - 0.5).astype(int).tolist()
-        for thickness, tone in ((3, (0, 0, 0)), (1, (255, 255, 255))):
-            cv2.rectangle(bgr, (x_min, y_min), (x_max, y_max), tone, thickness, cv2.LINE_AA)
+        canvas.box(box, WHITE)
     for box in boxes:
-        if box.score < SHOWN_FROM:
-            continue
-        colour = COLOURS_BGR[classes.index(box.label) % len(COLOURS_BGR) if box.label in classes else 0]
-        # the centre of the first pixel is (0, 0), in the enlarged image too: hence the shift by half a pixel
-        corners = (np.array([[box.x_min, box.y_min], [box.x_max, box.y_max]]) + 0.5) * scale - 0.5
-        (x_min, y_min), (x_max, y_max) = np.rint(corners).astype(int).tolist()
-        cv2.rectangle(bgr, (x_min, y_min), (x_max, y_max), colour, 2, cv2.LINE_AA)
-        text = f"{box.label} {box.score:.2f}"
-        # OpenCV draws ASCII only
-        text = text.encode("ascii", "replace").decode()
-        place = (max(x_min, 2), y_min - 5 if y_min > 16 else y_max - 5)
-        for thickness, tone in ((3, (0, 0, 0)), (1, colour)):
-            cv2.putText(bgr, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, tone, thickness, cv2.LINE_AA)
-    return bgr
+        if box.score >= SHOWN_FROM:
+            colour = COLOURS[classes.index(box.label) % len(COLOURS) if box.label in classes else 0]
+            canvas.box(box, colour, f"{box.label} {box.score:.2f}", thickness_px=2)
+    return canvas.rgb
 
 
 def _with_boxes(
     frame: Frame, boxes: Sequence[OrientedBox | None], truths: Sequence[OrientedBox]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Returns the image of a frame, enlarged, with true boxes in white and those that were found; BGR order."""
-    scale = max(LONG_SIDE_PX / max(frame.rgb.shape[:2]), 1.0)
-    bgr = cv2.resize(np.ascontiguousarray(frame.rgb[..., ::-1]), None, fx=scale, fy=scale)
-    found = [box for box in boxes if box is not None]
-    for colour, shown, width in (((255, 255, 255), truths, 1), (COLOURS_BGR[0], found, 2)):
-        for pieces in visible_edges(frame.camera, shown):
-            for ends in np.rint((pieces + 0.5) * scale - 0.5).astype(np.int32):
-                cv2.line(bgr, ends[0].tolist(), ends[1].tolist(), (0, 0, 0), width + 2, cv2.LINE_AA)
-                cv2.line(bgr, ends[0].tolist(), ends[1].tolist(), colour, width, cv2.LINE_AA)
-    return bgr
+    """Returns the image of a frame, enlarged, with true boxes in white and those that were found."""
+    canvas = Canvas(frame.rgb, max(LONG_SIDE_PX / max(frame.rgb.shape[:2]), 1.0))
+    for truth in truths:
+        canvas.solid(frame.camera, truth, WHITE, thickness_px=1)
+    for box in boxes:
+        if box is not None:
+            canvas.solid(frame.camera, box, COLOURS[0])
+    return canvas.rgb
 
 
 LOG = logging.getLogger(__name__)

@@ -86,7 +86,7 @@ class OpenFrame:
     @property
     def jpeg(self) -> bytes:
         """The image as a JPEG file."""
-        return self._whole.get("jpeg", lambda: _jpeg(self.frame))
+        return self._whole.get("jpeg", lambda: encoded_image(self.frame.rgb, "jpg", JPEG_QUALITY))
 
     @property
     def with_normals(self) -> Frame:
@@ -119,18 +119,14 @@ class OpenFrame:
         return self._results.get(key, compute)
 
 
-def _jpeg(frame: Frame, width_px: int | None = None) -> bytes:
+def _small(frame: Frame, width_px: int) -> bytes:
     import cv2
 
     rgb = frame.rgb
-    if width_px is not None and width_px < rgb.shape[1]:
+    if width_px < rgb.shape[1]:
         height_px = max(round(rgb.shape[0] * width_px / rgb.shape[1]), 1)
         rgb = cv2.resize(rgb, (width_px, height_px), interpolation=cv2.INTER_AREA)
-    bgr = np.ascontiguousarray(rgb[..., ::-1])
-    written, content = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    if not written:
-        raise AnnotatorError(f"frame {frame.key}: the image cannot be written as JPEG")
-    return content.tobytes()
+    return encoded_image(rgb, "jpg", JPEG_QUALITY)
 
 
 def _with_normals(frame: Frame) -> Frame:
@@ -212,7 +208,7 @@ class FrameCache:
         """Returns a small picture of a frame as a JPEG file, read once; the frame is not opened. Raises as `read`."""
         stored = project.frames.get(frame_id)
         key = project, frame_id, stored.key, project.adjustments.newest(stored.recording_id), width_px
-        return self._small.get(key, lambda: _jpeg(self.look(project, stored), width_px))
+        return self._small.get(key, lambda: _small(self.look(project, stored), width_px))
 
     def recorded(self, project: Project, frame_id: int) -> Frame:
         """Returns a frame as its recording's files give it; it is not cached. Raises as `read`."""

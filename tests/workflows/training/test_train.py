@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -202,7 +201,7 @@ def test_a_training_removes_what_killed_ones_left(labelled: Project) -> None:
     assert {path.name for path in folder.iterdir()} >= {"registered", "resumable", "running"}
     assert not (folder / "timed").exists() and not (folder / "killed").exists()
     assert not (folder / ".dataset.x1.unfinished").exists()
-    os.close(lock)
+    lock.close()
 
 
 # with a low score, too
