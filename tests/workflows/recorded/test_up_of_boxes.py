@@ -1,27 +1,34 @@
-"""The up direction that reviewed boxes give, and when it is left alone."""
+"""The labels and masks beside a recording, and the up direction that reviewed boxes give."""
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import rgbd_samples
 from rgbd_samples import write_rgbd
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.geometry.oriented_box import contains
 from annotator.project import BoxRotation, NewLabel, Project, ProjectSettings, WriteContext, create_project
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.recordings import open_recording
+from annotator.recordings.kitti import KittiTracking
 from annotator.types import BoxKind, OrientedBox, ReviewState
-from annotator.types.errors import ConfigError
+from annotator.types.errors import ConfigError, FormatError, RecordingError, UnitError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.recorded.adjusting import LEAST_BOX_FRAMES, estimate_recording_up, learn_up
+from annotator.workflows.recorded.reading import dont_care_rows, has_truth, load_mask, load_truth
 from annotator.workflows.training.train import TrainPlan, image_defaults, train
 
 FRAMES = LEAST_BOX_FRAMES + 2
@@ -175,3 +182,89 @@ def test_boxes_of_another_class_that_lean_keep_the_rotation_free(project: Projec
     review(project, TURNING)
     review(project, TURNING, up=np.array([0.6, -0.6, 0.5]) / np.linalg.norm([0.6, -0.6, 0.5]), label="hand")
     assert learn_up(project) == ()
+
+
+WIDTH, HEIGHT = 8, 6
+BOX = {"label": "wall", "center": [0, 0, 1], "size": [2, 2, 0.1], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
+
+
+@pytest.fixture
+def room(tmp_path: Path) -> Path:
+    """An RGB-D folder of the frames a and b without labels: a wall at 1 m."""
+    return write_rgbd(tmp_path, dict(zip("ab", rgbd_samples.wall(2).values(), strict=True)))
+
+
+def put(path: Path, content: Any) -> None:
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(json.dumps(content))
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("folder", ["kitti", "kitti_drive_0005", "human_turn", "hand_gesture"])
+def test_true_boxes_contain_points(shared: Path, folder: str) -> None:
+    """A wrong coordinate frame, size order or frame number would give boxes in empty space."""
+    recording = open_recording(shared / "data" / folder)
+    found = held = 0
+    for index in range(0, len(recording), 5):
+        frame = recording.frame(index)
+        for truth in load_truth(recording, index, frame):
+            found += 1
+            held += int(contains(truth.box, frame.cloud.xyz_m).sum()) >= 5
+    assert found >= 4
+    assert held >= 0.8 * found
+
+
+def test_missing_labels_are_an_error_but_a_frame_without_objects_is_not(room: Path) -> None:
+    recording = open_recording(room)
+    frame = recording.frame(0)
+    assert not has_truth(recording)
+    with pytest.raises(RecordingError, match=r"no true boxes; looked for truth/boxes\.json or boxes\.json"):
+        load_truth(recording, 0, frame)
+    put(room / "boxes.json", {"a": [BOX, {**BOX, "label": "shelf"}]})
+    assert has_truth(recording)
+    assert [truth.label for truth in load_truth(recording, 0, frame)] == ["wall", "shelf"]
+    assert load_truth(recording, 1, recording.frame(1)) == []
+    # the folder `truth` has precedence, and a changed file is read again
+    for boxes in (BOX, [BOX, BOX]):
+        put(room / "truth/boxes.json", {"a": boxes})
+        assert [truth.label for truth in load_truth(recording, 0, frame)] == ["wall"] * (1 + (boxes is not BOX))
+
+
+def test_tracking_labels_have_the_transform_of_each_frame(room: Path) -> None:
+    row = "{} {} Car 0 0 0 0 0 9 9 1.5 1.6 4.0 1.0 1.5 10.0 0.3\n"
+    (room / "label_02.txt").write_text("".join(row.format(n, n) for n in range(3)))
+    frame = open_recording(room).frame(0)
+    drive = KittiTracking(room, ("0", "1", "2", "3"), room, "image_02", "velodyne")
+    for index in range(3):
+        T = RigidTransform.from_translation([index, 0.0, 0.0])
+        (truth,) = load_truth(drive, index, replace(frame, T_camera_label=T))
+        assert truth.track_id == index
+        np.testing.assert_allclose(truth.box.center_m, [1 + index, 0.75, 10])
+    assert load_truth(drive, 3, frame) == []
+    far = RigidTransform.from_translation([1e9, 0.0, 0.0])
+    with pytest.raises(FormatError, match=r"label_02\.txt: frame 1: a box must be within .*; correct its boxes or its"):
+        load_truth(drive, 1, replace(frame, T_camera_label=far))
+    (room / "label_02.txt").write_text(row.format(0, 7) * 2)
+    assert len(load_truth(drive, 0, frame)) == 2
+    in_degrees = row.format(0, 7).replace("0.3", "170")
+    (room / "label_02.txt").write_text(in_degrees + "0 -1 DontCare -1 -1 -10 1 1 9 9 -1 -1 -1 -1000 -1000 -1000 -10\n")
+    with pytest.raises(UnitError, match="is no angle in radians"):
+        load_truth(drive, 0, frame)
+    assert [area.right for area in dont_care_rows(drive, "0")] == [9]
+
+
+@pytest.mark.parametrize("folder", ["mask", "truth/mask"])
+def test_masks_are_read_and_their_size_is_checked(room: Path, folder: str) -> None:
+    recording = open_recording(room)
+    frame = recording.frame(0)
+    assert load_mask(recording, frame) is None
+    (room / folder).mkdir(parents=True)
+    path = room / folder / "a.png"
+    with pytest.raises(FormatError, match="cannot be read"):
+        load_mask(recording, frame)
+    cv2.imwrite(str(path), np.zeros((HEIGHT, WIDTH + 1), np.uint8))
+    with pytest.raises(FormatError, match=r"the mask is \(9, 6\) pixels, the image \(8, 6\)"):
+        load_mask(recording, frame)
+    numbers = np.arange(WIDTH * HEIGHT, dtype=np.uint8).reshape(HEIGHT, WIDTH) % 3
+    cv2.imwrite(str(path), numbers)
+    np.testing.assert_array_equal(load_mask(recording, frame), numbers)
