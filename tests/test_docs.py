@@ -1,11 +1,20 @@
-"""The documentation keeps its promises, and files and folders stay small: a file is a concept."""
+"""Documentation keeps its promises, every command in the README runs, and files and folders stay small."""
 
 from __future__ import annotations
 
+import os
 import re
+import shlex
+import subprocess
+import sys
 import tomllib
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
+
+import pytest
+
+from annotator.cli.main import COMMANDS, main
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
@@ -108,3 +117,163 @@ def test_every_test_file_has_a_unique_name() -> None:
     """pytest imports test files by their name alone, so it cannot collect two of the same name."""
     names = Counter(path.name for path in (ROOT / "tests").rglob("test_*.py"))
     assert [name for name, count in names.items() if count > 1] == []
+
+
+README, GUIDE = ROOT / "README.md", ROOT / "docs" / "guide.md"
+PAGES_WITH_COMMANDS = pytest.mark.parametrize("page", (README, GUIDE), ids=lambda page: page.name)
+# Blocks of these languages contain commands; in a `console` block, only lines with a prompt.
+SHELL, CONSOLE = ("sh", "bash", "shell"), ("console",)
+BLOCK = re.compile(r"^( *)```(\w+)[^\n]*\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
+# The programs that the pages may call. `scripts/...` and `git` are allowed only with an entry in INSTEAD.
+PROGRAMS = ("annotator", "python")
+
+
+@dataclass(frozen=True)
+class Instead:
+    """The replacement for a command, or None if another test covers it."""
+
+    command: str | None
+    because: str
+
+
+INSTEAD: dict[str, Instead] = {
+    "scripts/test": Instead(None, "it runs this test"),
+    "scripts/demo": Instead(None, "tests/demo tries the demo, tests/test_scripts.py the set-up"),
+    "annotator serve --folder recordings --open": Instead(
+        None, "it goes on until it is stopped; tests/cli/test_cli_serve.py starts and stops it"
+    ),
+    "annotator live hands recordings/hands --loop --record recordings/seen": Instead(
+        "annotator live hands recordings/hands --limit 2 --record recordings/seen --port 0",
+        "it goes on until it is stopped; tests/cli/test_cli_serve.py stops it",
+    ),
+    "annotator generate recordings/hands --preset hands --frames 24": Instead(
+        "annotator generate recordings/hands --preset hands --frames 8", "seconds a frame, there and in what follows"
+    ),
+    "annotator train hands": Instead(
+        "annotator train hands --epochs 1 --image-epochs 1 --size 64 --image-size 64 --views 24", "minutes of training"
+    ),
+    "annotator generate recordings/room --preset people --frames 24": Instead(
+        "annotator generate recordings/room --preset people --frames 8", "seconds a frame"
+    ),
+    "annotator train room": Instead(
+        "annotator train room --epochs 1 --image-epochs 1 --size 64 --image-size 64 --views 24", "minutes of training"
+    ),
+    # After such a short training there may be no proposals.
+    "annotator export hands --format rcv out/3D_HAND": Instead(
+        "annotator export hands --format rcv out/3D_HAND --empty-frames", "there may be no box to export"
+    ),
+}
+
+
+def commands(text: str) -> list[str]:
+    """The commands of all shell and console blocks, in order, without prompts and comments."""
+    found = []
+    for indent, language, body in BLOCK.findall(text):
+        if language not in SHELL + CONSOLE:
+            continue
+        lines = [line.removeprefix(indent) for line in re.sub(r"\\\n\s*", "", body).splitlines()]
+        if language in CONSOLE:
+            lines = [line.removeprefix("$ ") for line in lines if line.startswith("$ ")]
+        stripped = (re.sub(r"(^|\s+)#.*", "", line).strip() for line in lines)
+        found += [line for line in stripped if line]
+    return found
+
+
+def as_run(command: str, shared: Path) -> list[str] | None:
+    """The words to run for a command of a page, or None to skip it."""
+    if command in INSTEAD:
+        instead = INSTEAD[command].command
+        if instead is None:
+            return None
+        command = instead
+    words = [re.sub(r"^\.\./shared\b", lambda _: str(shared), word) for word in shlex.split(command)]
+    assert words[0] in PROGRAMS, f"{command!r}: teach tests/test_docs.py how to run it, or leave it out of the page"
+    return words
+
+
+def page_commands(page: Path) -> list[str]:
+    return commands(page.read_text(encoding="utf-8"))
+
+
+@PAGES_WITH_COMMANDS
+def test_commands_exist(page: Path) -> None:
+    found = page_commands(page)
+    assert found, f"{page.name} shows no command"
+    for command in found:
+        words = as_run(command, Path("shared"))
+        if words is not None and words[0] == "annotator":
+            known = words[1] in COMMANDS or " ".join(words[1:3]) in COMMANDS
+            assert words[1].startswith("-") or known, f"{command!r}: no such command"
+
+
+def test_all_replacements_are_used() -> None:
+    unused = set(INSTEAD) - {*page_commands(README), *page_commands(GUIDE)}
+    assert not unused, f"no page has such commands any more: {unused}"
+
+
+def test_the_readme_mentions_every_command() -> None:
+    text = README.read_text(encoding="utf-8")
+    lines = text.splitlines()
+
+    def is_named(name: str) -> bool:
+        group, _, member = name.partition(" ")  # the others of a group may be named without it: `add`
+        return any(f"`annotator {group} " in line and f"`{member}`" in line for line in lines if member) or bool(
+            re.search(rf"(`|^)annotator {name}\b", text, re.MULTILINE)
+        )
+
+    missing = [name for name in COMMANDS if not is_named(name)]
+    assert not missing, f"README.md does not mention: {', '.join(missing)}"
+
+
+def python_blocks(text: str) -> list[str]:
+    """The Python blocks, in order."""
+    return [body for indent, language, body in BLOCK.findall(text) if language == "python" and not indent]
+
+
+@pytest.mark.slow
+def test_the_readmes_python_gives_boxes(tmp_path: Path) -> None:
+    """The recording is that of the README's first command, with fewer frames; its first frame is the same."""
+    from annotator.synthetic import write_generated
+
+    (code,) = python_blocks(README.read_text(encoding="utf-8"))
+    assert len(code.splitlines()) <= 10
+    assert "annotator generate recordings/hands --preset hands --frames 24" in page_commands(README)
+    write_generated(tmp_path / "recordings/hands", "hands", 1, 0)
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-c", code]
+    ran = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    assert len(re.findall(r"^hand \d\.\d+ \[", ran.stdout, re.MULTILINE)) == 2, ran.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.shared
+@pytest.mark.timeout(1800)
+@PAGES_WITH_COMMANDS
+def test_every_command_runs(
+    page: Path, shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Commands of `annotator` run in this process, where torch is loaded once; test_wheel.py runs the installed one.
+
+    The guide's Python block reads what its commands have exported. That of the README is run by the test above.
+    """
+    for name in os.environ:
+        if name.startswith("ANNOTATOR_"):
+            monkeypatch.delenv(name)
+    # `python -m benchmarks.NAME` needs the repository's root; files are written to the working folder
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.chdir(tmp_path)
+    for command in page_commands(page):
+        words = as_run(command, shared.resolve())
+        if words is None:
+            continue
+        if words[0] == "annotator":
+            assert main(words[1:]) == 0, f"{command}\n{capsys.readouterr().err}"
+        else:
+            ran = subprocess.run([sys.executable, *words[1:]], capture_output=True, text=True, check=False)
+            assert ran.returncode == 0, f"{command}\n{ran.stdout}\n{ran.stderr}"
+    if page == GUIDE:
+        (block,) = python_blocks(page.read_text(encoding="utf-8"))
+        ran = subprocess.run([sys.executable, "-c", block], capture_output=True, text=True, check=False)
+        assert ran.returncode == 0, ran.stderr
+        assert re.search(r"^\d{6} person \[", ran.stdout, re.MULTILINE), ran.stdout

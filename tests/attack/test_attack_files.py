@@ -1,4 +1,4 @@
-"""Files that somebody sent: pickles in arrays, XML entities, YAML with code, deep JSON, and names with code in them."""
+"""Files that somebody sent: pickles, XML entities, code in YAML, deep JSON; names with code in them, on pages, too."""
 
 from __future__ import annotations
 
@@ -7,23 +7,31 @@ import json
 import os
 import pickle
 import resource
+import shutil
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 import numpy as np
 import pytest
 from attacks import MOST_GROWTH_MB, memory_mb
+from browser_page import label_truth, sign_in, until
+from live_server import running
 
 from annotator.cli.main import main
 from annotator.formats.kitti_tracklets import read_tracklets
+from annotator.project import create_project
 from annotator.recordings import open_recording
 from annotator.types.errors import AnnotatorError
+from annotator.web.security import ServerSettings
 from annotator.workflows.add_recordings import register_recording
+from benchmarks.served import chromium
 
 if TYPE_CHECKING:
     from live_server import Live
+    from playwright.sync_api import Browser, Page
 
 
 LAUGHS = "".join(f'<!ENTITY l{n} "{"".join([f"&l{n - 1};"] * 10)}">' for n in range(1, 12))
@@ -193,3 +201,90 @@ def test_an_endless_file_of_a_recording_is_refused(live: Live, own_copy: Callabl
     assert live.client.get(f"/api/projects/room/frames/{first.id}", timeout=30).status_code >= 400
     assert live.client.get("/api/projects", timeout=30).status_code == 200
     assert peak_mib() - before < 200
+
+
+# An attribute that runs without a click, and a harmless element that is counted where the policy stops the script.
+MARK = "<img src=x onerror=hacked=1><b class=hacked>"
+CLASSES = ("person", "<b class=hacked>")
+HERE = quote(MARK, safe="")
+PLACES = (
+    "/#/",
+    "/#/room/label/1",
+    "/#/room/review/1",
+    "/#/room/train",
+    "/#/room/export",
+    "/#/room/statistics",
+    "/#/room/checks",
+    "/#/room/alignment/1",
+    "/#/broken/label",
+    f"/#/{HERE}",
+    f"/#/room/{HERE}",
+    f"/#/room/label/{HERE}",
+    f"/#/room/review/1?uid={HERE}",
+    f"/#/{MARK}/label",
+    "/#/room/review/999",
+    f"/?go={HERE}",
+    f"/{HERE}",
+    f"/api/projects/{HERE}",
+)
+STARTED = "document.readyState === 'complete'"
+TRACES = "[typeof hacked, document.querySelectorAll('.hacked, img[src=x], [onerror]').length].join()"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """One headless Chromium."""
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture
+def marked(generated: Path, tmp_path: Path) -> Iterator[Live]:
+    """A server on whose pages the markup is in every name that others can choose."""
+    folder = tmp_path / MARK.replace("/", "")
+    shutil.copytree(generated / "people", folder)
+    projects = tmp_path / "projects"
+    with create_project(projects, "room", CLASSES) as project:
+        register_recording(project, open_recording(folder))
+        label_truth(project, generated / "people", 3)
+    (projects / "broken").mkdir()
+    (projects / "broken/project.json").write_text(json.dumps({MARK: MARK}))
+    with running(ServerSettings(projects, (folder, tmp_path), port=0)) as live:
+        # jobs whose messages and authors have the markup
+        live.client.post("/api/session", json={"operator": MARK})
+        for body in ({"kind": "export", "format": "kitti", "classes": [CLASSES[1]]}, {"kind": "propose"}):
+            live.client.post("/api/projects/room/jobs", json=body)
+        live.client.post("/api/projects/room/undo", json={})
+        yield live
+
+
+def test_names_are_text_on_every_page(browser: Browser, marked: Live) -> None:
+    page = browser.new_context(base_url=marked.url).new_page()
+    for cookie in marked.client.cookies.jar:
+        page.context.add_cookies([{"name": cookie.name, "value": cookie.value or "", "url": marked.url}])
+    sign_in(page, marked.url, MARK)
+    page.route("**/api/workbench", lambda route: route.abort())
+    violations: list[str] = []
+    page.on("console", lambda message: violations.append(message.text) if "Content Security" in message.text else None)
+    page.on("dialog", lambda dialog: violations.append(f"a dialog: {dialog.message}"))
+    shown = ""
+    for place in PLACES:
+        page.goto("about:blank")
+        page.goto(place)
+        until(page, STARTED)
+        page.wait_for_load_state("networkidle")
+        shown += page.inner_text("body")
+        assert _traces(page) == "undefined,0", place
+        for key in ("?", "Tab", "l", "Escape"):
+            page.keyboard.press(key)
+        assert _traces(page) == "undefined,0", place
+    # otherwise the names are not on the pages, and nothing was tested
+    assert shown.count(MARK[:20]) > 5, shown
+    assert CLASSES[1] in shown
+    assert violations == [], violations
+    page.context.close()
+
+
+def _traces(page: Page) -> str:
+    found: str = page.evaluate(TRACES)
+    return found
