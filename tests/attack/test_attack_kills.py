@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import httpx
+import numpy as np
 import pytest
 from attacks import Killer, Labels, content_of, labels_in, require_sound
-from filled import fill
 from live_server import PATIENCE_S, running, wait_until
 from mortal import Mortal
 from room_api import BOX, change, state
@@ -23,8 +23,10 @@ from store_samples import damage
 from test_server_process import EDITS_BEFORE_KILL, Editor, server
 
 from annotator.cli.main import main
-from annotator.project import create_project, open_project
+from annotator.project import FramePart, Project, WriteContext, create_project, open_project
 from annotator.project.backup.archive import read_manifest
+from annotator.project.changes import NewLabel
+from annotator.types import BoxKind, OrientedBox, Source
 from annotator.web.security import ServerSettings
 
 # 20 kills of a training, on a busy machine
@@ -327,3 +329,27 @@ def test_commands_that_may_write_only_small_files_stop_with_a_message(
             left = [path.name for path in tmp_path.iterdir() if "out" in path.name]
             assert left in ([], ["out"]), left
             assert end.code == 0 or not left, (words, limit)
+
+
+def fill(project: Project, frames: int, labels: int, views: int) -> None:
+    """Adds one recording with reviewed labels, and pseudo-views with boxes."""
+    keys = [f"{n:06d}" for n in range(frames)]
+    recording = project.recordings.add(project.path.parent / "recording", "rgbd", "long", keys, True)
+    stored = project.frames.of([recording.id])
+    shares = [labels * (n + 1) // frames - labels * n // frames for n in range(frames)]
+    parts = [
+        FramePart(frame.id, [_label(n, k) for k in range(share)], WriteContext(0, "Ada", Source.MANUAL))
+        for n, (frame, share) in enumerate(zip(stored, shares, strict=True))
+        if share
+    ]
+    for first in range(0, len(parts), 500):
+        project.log.append_to_frames(parts[first : first + 500])
+    rng = np.random.default_rng(0)
+    for _ in range(views):
+        picture = rng.integers(0, 255, (60, 60, 3), np.uint8)
+        project.boxes.set_on_view(project.views.store(picture), [], BoxKind.BOX, WriteContext(0, "Ada", Source.MANUAL))
+
+
+def _label(frame: int, number: int) -> NewLabel:
+    box = OrientedBox.from_parts(np.array([2.0 * number, 0.1, 3.0]), np.eye(3), np.array([1.0, 0.7, 0.4]))
+    return NewLabel("person", box, uid=f"{frame}-{number}")
