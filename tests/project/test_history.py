@@ -11,7 +11,7 @@ from store_samples import box_at, by_hand, by_machine, proposal_at, revised
 
 from annotator.project import FramePart, NewLabel, Project, StoredRecording
 from annotator.project.backup.verify import verify
-from annotator.project.changes import LabelChanged, LabelDeleted
+from annotator.project.changes import LabelDeleted
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeOf
 from annotator.project.log import new_action
@@ -70,16 +70,6 @@ def test_an_undo_that_conflicts_with_a_later_change_names_it_and_can_be_skipped(
     assert project.history.undo("ann", skip=True).words == "accept hand (frame 2)"
     states = [label.state for label in project.labels.of_frame(frame)]
     assert states == [ReviewState.EDITED, ReviewState.PROPOSED]
-
-
-def test_an_action_without_effect_is_skipped_and_one_of_several_kinds_named_after_the_first(
-    project: Project, frame: int
-) -> None:
-    uids = project.labels.create(frame, [NewLabel("hand", box_at(x)) for x in (0.0, 5.0)], by_hand()).uids
-    project.log.append(frame, [LabelDeleted(uid=uids[0]), LabelChanged(uid=uids[1], track_id=1)], by_hand(2))
-    new = NewLabel("hand", box_at(), uid="u")
-    project.log.append(frame, [new, LabelDeleted(uid="u")], by_hand(4))
-    assert project.history.undo("ann").words == "delete hand (frame 2)"
 
 
 # An attribute as it was, a value that it had, and the attribute as it is now.

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cloud_samples import SCAN, camera_file
+from cloud_samples import OBJECT_CALIB, SCAN, camera_file
 from column_scans import OTHERS, make_set
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kitti_samples import OBJECT_CALIB
 from nuscenes_samples import small
 from small_recordings import kitti_object, kitti_raw
 

@@ -332,16 +332,6 @@ def test_every_cloud_has_every_kind_of_colour(what: str) -> None:
         assert (colors.shape, colors.dtype) == ((n, 3), np.uint8)
 
 
-def test_height_colours_depend_only_on_the_height() -> None:
-    height = np.linspace(0, 2, 100)
-    low_to_high = frame_of(np.column_stack([np.zeros(100), -height, np.full(100, 4)])).cloud
-    colors = point_colors(low_to_high, PointColor.HEIGHT, UP).astype(int)
-    assert colors[0, 2] > colors[0, 0]  # low: blue
-    assert colors[-1, 0] > colors[-1, 2]  # high: red
-    moved = frame_of(low_to_high.xyz_m + np.array([3.0, 0, 5.0])).cloud
-    np.testing.assert_array_equal(point_colors(moved, PointColor.HEIGHT, UP), colors)
-
-
 def test_the_initial_camera_is_behind_the_camera_and_looks_along_its_axis(generated: Path) -> None:
     recording = open_recording(generated / "people")
     frame = recording.frame(0)

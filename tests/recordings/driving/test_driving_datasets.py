@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from argoverse_samples import DELAYS_US, PERIOD_US, put, write_log
-from cloud_samples import SCAN, image
-from kitti_samples import P2, R0, TR, TRACKING_CALIB, by_formula
+from cloud_samples import P2, R0, SCAN, TR, TRACKING_CALIB, by_formula, image
 from nuscenes_samples import CAMERAS, HEIGHT, START_US, WIDTH, K, ego_pose, mount, real, scan_points, small
 from pyarrow import feather
 from small_recordings import kitti_object, kitti_raw, kitti_tracking
@@ -315,14 +314,6 @@ def test_times_are_read_from_the_drive(drive: Path):
     assert times == [1_317_042_145_964_389_445, 1_317_042_146_000_000_000, 1_317_042_146_500_000_000]
     (drive / "image_02" / "timestamps.txt").unlink()
     assert [open_recording(drive).frame(i).timestamp_ns for i in range(3)] == [0, 200_000_000, 300_000_000]
-
-
-def test_a_missing_calibration_of_the_day_is_an_error_that_names_it(drive: Path):
-    path = drive.parent / "calib_velo_to_cam.txt"
-    path.unlink()
-    with pytest.raises(FrameError, match="the calibration is missing") as caught:
-        open_recording(drive).frame(0)
-    assert caught.value.path == path
 
 
 CAR = tracklet("Car", (1.5, 1.6, 4), 1, pose(9, 1, -1.7, 0.3), pose(10, 1, -1.7, 0.3))

@@ -37,7 +37,6 @@ from annotator.types import (
     Source,
 )
 from annotator.types.errors import ConfigError, FormatError, HistoryError, ProjectError
-from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.detectors import Detectors, base_titles
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource
@@ -260,15 +259,6 @@ def test_a_limit_below_1_is_refused(people: Project, knowing: Knowing, limit: in
     assert people.jobs.all() == ()
 
 
-def test_missing_frames_are_neither_processed_nor_counted(copied: tuple[Path, Project], knowing: Knowing) -> None:
-    folder, project = copied
-    for path in (folder / "color" / "000004.jpg", folder / "depth" / "000004.png"):
-        path.unlink()
-    add_recordings(project, [folder])
-    done = annotate(project, knowing("people"), FAST)
-    assert (done.frames, done.done, done.skipped, done.failed) == (4, 4, 0, [])
-
-
 def test_frames_without_proposals_are_counted(people: Project, knowing: Knowing) -> None:
     blind = Mock(wraps=knowing("people").image, fingerprint="blind", detect=lambda images: [[] for _ in images])
     blind.labels = ("person",)
@@ -329,22 +319,6 @@ def _interrupt(project: Project, monkeypatch: pytest.MonkeyPatch, times: int) ->
         return replace(self, frame_id, *rest, **named)
 
     monkeypatch.setattr(type(project.proposals), "replace", interrupted)
-
-
-def test_finalised_frames_and_reviewed_labels_stay_and_are_not_proposed_again(
-    people: Project, knowing: Knowing
-) -> None:
-    recording = open_recording(people.recordings.all()[0].path)
-    truth = load_truth(recording, 0, recording.frame(0))[0]
-    first, second = people.frames.of()[:2]
-    (uid,) = people.labels.create(first.id, [NewLabel(truth.label, truth.box)], WriteContext(0, "me")).uids
-    people.frames.finalise(second.id, WriteContext(0, "me"))
-    done = annotate(people, knowing("people"), CONFIG, limit=1)
-    assert (done.frames, done.skipped) == (1, 1)
-    states = {label.uid: label.state for label in people.labels.of_frame(first.id)}
-    assert states.pop(uid) is ReviewState.ACCEPTED
-    assert list(states.values()) == [ReviewState.PROPOSED] * 2
-    assert people.labels.of_frame(second.id) == () and people.frames.get(second.id).revision == 1
 
 
 def test_a_frame_finalised_during_processing_is_not_changed(people: Project, knowing: Knowing) -> None:
