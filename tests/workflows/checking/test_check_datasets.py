@@ -24,7 +24,7 @@ from annotator.types import Camera
 from annotator.types.errors import RecordingError
 from annotator.workflows.checking.dataset_check import check_datasets
 from annotator.workflows.checking.findings import RULES, Findings, Severity
-from annotator.workflows.checking.sources import stray_names
+from annotator.workflows.checking.sources import other_software_dataset, stray_names
 from annotator.workflows.importing.report import SizeOrders
 
 WIDTH, HEIGHT, F = 240, 120, 150.0
@@ -518,6 +518,24 @@ def test_lists_of_votenets_folders_are_checked_for_unknown_frames(tmp_path: Path
     (tmp_path / "train_data_idx.txt").write_text("1\n000001\n7\n")
     reported = [(file.name, line, name) for file, line, name in stray_names(open_recording(tmp_path))]
     assert reported == [("000002.txt", None, "000002"), ("train_data_idx.txt", 3, "7")]
+
+
+@pytest.mark.parametrize(
+    ("files", "is_yolo"),
+    [
+        # the class words of annotator's exports, and another tool's settings
+        (["classes.txt", "train_data_idx.txt"], False),
+        (["data.yaml"], False),
+        (["classes.txt", "labels/classes.txt"], False),
+        (["classes.txt", "cam1.txt", "cam1.png"], True),
+        (["classes.txt", "labels/cam1.txt"], True),
+    ],
+)
+def test_lists_of_classes_alone_are_no_yolo_dataset(tmp_path: Path, files: list[str], is_yolo: bool) -> None:
+    for name in files:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("night_stand night stand\n")
+    assert (other_software_dataset(tmp_path) is not None) == is_yolo
 
 
 def test_openlabel_is_checked_with_and_without_splits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
