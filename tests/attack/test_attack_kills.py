@@ -1,27 +1,32 @@
-"""`kill -9` of the commands that write, at random moments: nothing acknowledged is lost, nothing half is offered."""
+"""`kill -9` of the commands that write, and full disks: nothing acknowledged is lost, nothing half is offered."""
 
 from __future__ import annotations
 
 import io
 import random
 import shutil
+import subprocess
 import threading
 import time
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import httpx
+import numpy as np
 import pytest
 from attacks import Killer, Labels, content_of, labels_in, require_sound
-from filled import fill
-from live_server import PATIENCE_S, wait_until
+from live_server import PATIENCE_S, running, wait_until
+from mortal import Mortal
+from room_api import BOX, change, state
 from store_samples import damage
 from test_server_process import EDITS_BEFORE_KILL, Editor, server
 
 from annotator.cli.main import main
-from annotator.project import create_project, open_project
+from annotator.project import FramePart, Project, WriteContext, create_project, open_project
 from annotator.project.backup.archive import read_manifest
+from annotator.project.changes import NewLabel
+from annotator.types import BoxKind, OrientedBox, Source
 from annotator.web.security import ServerSettings
 
 # 20 kills of a training, on a busy machine
@@ -241,3 +246,110 @@ def _require_zip(content: bytes) -> None:
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         assert archive.testzip() is None
         assert archive.namelist()
+
+
+SIZE_KB = 3000
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 3 MB; only root can mount one."""
+    folder = tmp_path / "small"
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", f"size={SIZE_KB}k", "tmpfs", str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        pytest.skip(f"a small disk needs the right to mount: {done.stderr.strip()}")
+    yield folder
+    # lazily: a failed test may still have files open
+    subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+def _fill(folder: Path) -> Path:
+    """Fills a disk to the last byte; returns the file to remove."""
+    file = folder / "filler"
+    with file.open("wb", buffering=0) as stream:
+        for size in (4096, 1):
+            try:
+                while True:
+                    stream.write(b"\0" * size)
+            except OSError:
+                continue
+    return file
+
+
+def test_saves_on_a_full_disk_are_refused_and_lose_nothing(small: Path, empty: Path) -> None:
+    shutil.copytree(empty, small, dirs_exist_ok=True)
+    stored = 0
+    with running(ServerSettings(small, port=0)) as live:
+        create = {"kind": "create", "label": "person", "box": BOX}
+        for _ in range(3):
+            assert change(live.client, state(live.client)["frame"]["revision"], create).status_code == 200
+            stored += 1
+        filler = _fill(small)
+        refusals = 0
+        for _ in range(20):
+            answer = change(live.client, state(live.client)["frame"]["revision"], *[create] * 20)
+            if answer.status_code == 200:
+                stored += 20
+                continue
+            refusals += 1
+            assert "disk is full" in answer.json()["error"]["message"], answer.text
+        assert refusals, "the disk was not full"
+        assert len(state(live.client)["labels"]) == stored
+        filler.unlink()
+        assert change(live.client, state(live.client)["frame"]["revision"], create).status_code == 200
+    require_sound(small / "room")
+    assert len(labels_in(small / "room")["000000"]) == stored + 1
+
+
+def test_commands_that_may_write_only_small_files_stop_with_a_message(
+    mortal: Mortal, labelled: Path, tmp_path: Path
+) -> None:
+    """`ulimit -f`, for those who cannot mount a small disk: each file fails beyond a size."""
+    before = labels_in(labelled / "room")
+    copy = tmp_path / "copy"
+    train = ["--only", "image", "--image-epochs", "1", "--image-size", "64", "--weights", "never"]
+    for words in (
+        ["train", "room", *train],
+        ["annotate", "room", "--engine", "inline"],
+        ["export", "room", str(tmp_path / "out")],
+    ):
+        for limit in (0, 4096, 65536, 400_000):
+            shutil.rmtree(copy, ignore_errors=True)
+            shutil.rmtree(tmp_path / "out", ignore_errors=True)
+            shutil.copytree(labelled, copy)
+            end = mortal.run(*words, "--projects", copy, file_limit=limit)
+            assert end.code in (0, 1, 2), (words, limit, end)
+            assert "Traceback" not in end.said, (words, limit, end.said[-1500:])
+            require_sound(copy / "room")
+            after = labels_in(copy / "room")
+            # proposals may be added, reviewed boxes stay
+            assert all(set(found) <= set(after[key]) for key, found in before.items())
+            left = [path.name for path in tmp_path.iterdir() if "out" in path.name]
+            assert left in ([], ["out"]), left
+            assert end.code == 0 or not left, (words, limit)
+
+
+def fill(project: Project, frames: int, labels: int, views: int) -> None:
+    """Adds one recording with reviewed labels, and pseudo-views with boxes."""
+    keys = [f"{n:06d}" for n in range(frames)]
+    recording = project.recordings.add(project.path.parent / "recording", "rgbd", "long", keys, True)
+    stored = project.frames.of([recording.id])
+    shares = [labels * (n + 1) // frames - labels * n // frames for n in range(frames)]
+    parts = [
+        FramePart(frame.id, [_label(n, k) for k in range(share)], WriteContext(0, "Ada", Source.MANUAL))
+        for n, (frame, share) in enumerate(zip(stored, shares, strict=True))
+        if share
+    ]
+    for first in range(0, len(parts), 500):
+        project.log.append_to_frames(parts[first : first + 500])
+    rng = np.random.default_rng(0)
+    for _ in range(views):
+        picture = rng.integers(0, 255, (60, 60, 3), np.uint8)
+        project.boxes.set_on_view(project.views.store(picture), [], BoxKind.BOX, WriteContext(0, "Ada", Source.MANUAL))
+
+
+def _label(frame: int, number: int) -> NewLabel:
+    box = OrientedBox.from_parts(np.array([2.0 * number, 0.1, 3.0]), np.eye(3), np.array([1.0, 0.7, 0.4]))
+    return NewLabel("person", box, uid=f"{frame}-{number}")

@@ -21,9 +21,8 @@ import laspy
 import numpy as np
 import phone_samples
 import small_recordings as small
-from bag_writer import BagWriter, structured
+from bag_writer import MS, SIZE, START_NS, BagWriter, K, structured
 from dataset_samples import make_item, make_label, write
-from ros_takes import MS, SIZE, START_NS, K
 from scipy.spatial.transform import Rotation
 from small_recordings import put
 

@@ -23,14 +23,13 @@ from typing import Any
 import cv2
 import numpy as np
 import small_recordings as small
-from bag_writer import BagWriter
+from bag_writer import MS, SIZE, START_NS, BagWriter, write_camera, write_take
 from cloud_samples import SCAN
 from dataset_samples import make_item, make_label, write
 from foxglove_takes import picture_take, write_mcap
 from kinect_recording import write_recording
 from known_numbers import BUILT, CLASSES, CLOUDS, Numbers, bags
 from known_numbers import TARGETS as KNOWN
-from ros_takes import MS, SIZE, START_NS, write_camera, write_take
 from scipy.spatial.transform import RigidTransform
 from test_cloud_files import written
 from test_kitti_formats import PEDESTRIAN, VAN, document

@@ -2,7 +2,7 @@
 
 The rule: the numbers that come out equal those that went in, within the format's precision, or the files are refused
 (AnnotatorError); nothing else. First the plain files must give the known numbers, then the mutated ones what the plain
-ones give. Pictures of many bits are tried by `test_image_file.py`, saturated coordinates by `test_cloud_files.py`.
+ones give. `test_small_recordings.py` tries pictures of many bits, `test_cloud_files.py` saturated coordinates.
 
 A mutation that nobody could see in the files is no fault of a reader, and is counted apart as ambiguous:
 

@@ -1,4 +1,4 @@
-"""The protocols: properties and cases by hand; tests/benchmarks/test_golden.py has the official numbers."""
+"""The protocols: properties and cases by hand; tests/benchmarks/test_benchmarks_run.py has the official numbers."""
 
 from __future__ import annotations
 

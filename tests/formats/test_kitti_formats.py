@@ -1,6 +1,6 @@
 """KITTI rows, folders, archives and tracklets: numbers by the devkit's conventions, and errors of damaged ones.
 
-tests/benchmarks/test_golden.py has the reference numbers.
+tests/benchmarks/test_benchmarks_run.py has the reference numbers.
 """
 
 from __future__ import annotations

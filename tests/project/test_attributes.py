@@ -327,19 +327,6 @@ def test_a_value_of_a_track_keeps_only_the_proposal_on_which_it_was_set(
     assert [project.labels.kept(id) for id in frames] == [{uids[0]}, frozenset()]
 
 
-def test_undo_passes_over_what_would_restore_a_box_of_a_removed_class(
-    project: Project, recording: StoredRecording
-) -> None:
-    create(project, 2, "person")
-    uid = create(project, 1, "hand")
-    project.labels.edit(1, uid, revised(project, 1), label="person", box=box_at(1.0))
-    project.change_classes(edit.RemoveClass(name="hand", with_boxes=True), "bea")
-    with pytest.raises(HistoryError, match="the class 'hand' was removed"):
-        project.history.undo("ann")
-    assert project.history.undo("ann", skip=True).frame_id == 2
-    assert [entry.frame_id for entry in project.labels.select()] == [1]
-
-
 def test_undo_brings_a_label_back_without_an_image_box_of_a_removed_class(project: Project, frame: int) -> None:
     drawn = NewLabel("person", box_at(), image_box=Box2D("hand", 0.0, 0.0, 9.0, 9.0))
     (uid,) = project.labels.create(frame, [drawn], by_hand()).uids

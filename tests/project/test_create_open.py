@@ -121,6 +121,7 @@ def _truncate(folder: Path) -> None:
     [
         (lambda folder: (folder / "project.json").unlink(), "is not a project: it has no project.json"),
         (_overwrite("project.json", b"{"), "project.json: .*restore it"),
+        (_overwrite("project.json", b"[" * 200_000), "project.json: .*restore it"),
         (_overwrite("project.json", b'{"format_version": 3}'), "format version 3.*update annotator"),
         (_overwrite("project.json", b'{"format_version": 1}'), "use the version that made it"),
         (_overwrite("project.json", b'{"format_version": 2, "name": "x"}'), "Field required"),

@@ -1,19 +1,23 @@
-"""The review of 3D labels."""
+"""Labels: their review, new proposals beside them, stale and automatic writes that are refused."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from store_samples import box_at, by_hand, by_machine, proposal_at, revised, same_box
+from sqlalchemy import Engine, event
+from store_samples import box_at, by_hand, by_machine, proposal_at, revised, same_box, state_of
 
-from annotator.project import REVIEWED, NewLabel, Origin, Project, StoredRecording, WriteContext
+from annotator.project import REVIEWED, NewLabel, Origin, Project, StoredRecording, WriteContext, create_project
 from annotator.project.changes import LabelChanged
 from annotator.project.records import BoxRecord
-from annotator.types import BoxKind, Label, OrientedBox, ReviewState, Source, Suggestion
-from annotator.types.errors import ProjectError
+from annotator.types import Box2D, BoxKind, Label, OrientedBox, ReviewState, Source, Suggestion
+from annotator.types.errors import FinalisedFrameError, ProjectError, StaleRevisionError
 
 
 def _only(project: Project, frame: int) -> Label:
@@ -150,3 +154,180 @@ def test_a_label_says_what_its_box_encloses_until_it_is_changed(project: Project
         project.log.append(frame, [payload], by_hand(revision))
     kinds.append(project.labels.get(uid).label.box_kind)
     assert kinds == [BoxKind.SILHOUETTE, BoxKind.SILHOUETTE, BoxKind.BOX]
+
+
+def test_new_proposals_replace_only_unreviewed_labels(project: Project, frame: int) -> None:
+    first = project.proposals.replace(frame, [proposal_at(x) for x in (0.0, 5.0, 10.0, 15.0)], by_machine()).uids
+    project.labels.accept(frame, first[0], by_hand(1))
+    project.labels.edit(frame, first[1], by_hand(2), label="hand", box=box_at(6.0))
+    project.labels.reject(frame, first[2], by_hand(3))
+    second = project.proposals.replace(frame, [proposal_at(30.0)], by_machine(4))
+    assert second.covered == 0
+    assert [(label.uid, label.state) for label in project.labels.of_frame(frame)] == [
+        (first[0], ReviewState.ACCEPTED),
+        (first[1], ReviewState.EDITED),
+        (first[2], ReviewState.REJECTED),
+        (second.uids[0], ReviewState.PROPOSED),
+    ]
+    # a deleted one may be proposed again, and no proposal stays that is not found again
+    project.labels.delete(frame, first[0], by_hand(5))
+    assert project.proposals.replace(frame, [proposal_at(0.0)], by_machine(6)).covered == 0
+    assert project.proposals.replace(frame, [], by_machine(7)).uids == ()
+    assert len(project.labels.of_frame(frame)) == 2
+
+
+def test_reviewed_objects_are_not_proposed_again(project: Project, frame: int) -> None:
+    states = (ReviewState.ACCEPTED, ReviewState.EDITED, ReviewState.REJECTED)
+    made = [NewLabel("hand", box_at(5.0 * n), state=state) for n, state in enumerate(states)]
+    uids = project.labels.create(frame, made, by_hand()).uids
+    found = [proposal_at(x) for x in (0.01, 5.01, 10.01, 3.0)]
+    replaced = project.proposals.replace(frame, found, by_machine(3))
+    assert (replaced.covered, replaced.uids[:3]) == (3, (None,) * 3)
+    assert [label.uid for label in project.labels.of_frame(frame)] == [*uids, replaced.uids[3]]
+
+
+@pytest.mark.parametrize(("length_m", "covered"), [(0.51, 1), (0.49, 0), (1.96, 1), (2.04, 0)])
+def test_objects_with_an_iou_above_one_half_are_covered(
+    project: Project, frame: int, length_m: float, covered: int
+) -> None:
+    # for boxes that differ only in length, the IoU is the ratio of the lengths
+    project.labels.create(frame, [NewLabel("hand", box_at(0.0, 1.0))], by_hand())
+    assert project.proposals.replace(frame, [proposal_at(0.0, size_m=length_m)], by_machine(1)).covered == covered
+
+
+def test_only_labels_of_the_same_class_cover_a_proposal(project: Project, frame: int) -> None:
+    new = [NewLabel("person", box_at(0.0)), NewLabel("hand", box_at(5.0)), NewLabel("hand", box_at(5.1))]
+    project.labels.create(frame, new, by_hand())
+    again = [
+        proposal_at(0.0, "hand"),
+        proposal_at(5.0, "person"),
+        proposal_at(0.0, "person"),
+        proposal_at(5.09, "hand"),
+    ]
+    made = project.proposals.replace(frame, again, by_machine(3)).uids
+    assert [uid is None for uid in made] == [False, False, True, True]
+
+
+@pytest.mark.parametrize("kind", BoxKind)
+def test_proposals_are_of_the_kind_that_their_detector_measures(project: Project, frame: int, kind: BoxKind) -> None:
+    project.proposals.replace(frame, [proposal_at(0.0)], by_machine(), box_kind=kind)
+    requested = NewLabel("hand", box_at(5.0), state=ReviewState.PROPOSED, box_kind=kind, uid="ab")
+    project.log.append(frame, [requested], by_hand(1))
+    project.log.rebuild()
+    assert [label.box_kind for label in project.labels.of_frame(frame)] == [kind, kind]
+
+
+def test_what_a_pass_has_found_is_read_back(project: Project, frame: int) -> None:
+    assert project.proposals.latest(frame) is None
+    project.labels.create(frame, [NewLabel("hand", box_at(9.0))], by_hand())
+    proposals = [proposal_at(0.0, score=0.5), proposal_at(9.0)]
+    project.proposals.replace(frame, proposals, by_machine(1))
+    latest = project.proposals.latest(frame)
+    assert latest is not None
+    for (label, box, score), proposal in zip(latest, proposals, strict=True):
+        assert (label, score) == (proposal.label, proposal.score)
+        assert same_box(box, proposal.box)
+
+
+def test_a_score_that_is_no_number_is_refused(project: Project, frame: int) -> None:
+    with pytest.raises(ProjectError, match="a score must be a finite number, not nan"):
+        project.proposals.replace(frame, [proposal_at(score=math.nan)], by_machine())
+    assert project.log.of_frame(frame) == ()
+
+
+HAND = Box2D("hand", 1.0, 2.0, 3.0, 4.0)
+
+
+@pytest.mark.parametrize("change", [by_hand, by_machine])
+def test_a_stale_write_is_refused_with_both_revisions(project: Project, frame: int, change) -> None:
+    for other in project.frames.of():
+        project.boxes.set_on_image(other.id, [HAND], BoxKind.BOX, by_hand())
+    with pytest.raises(StaleRevisionError, match="frame 2 of recording take is at revision 1") as caught:
+        project.proposals.replace(frame, [proposal_at()], change(2))
+    assert (caught.value.expected, caught.value.actual) == (2, 1)
+    project.proposals.replace(frame, [proposal_at()], change(1))
+
+
+def test_a_snapshot_does_not_see_what_is_written_meanwhile(project: Project, frame: int) -> None:
+    with project.store.snapshot():
+        assert project.frames.get(frame).revision == 0
+        project.labels.create(frame, [NewLabel("hand", box_at(0))], by_hand())
+        assert (project.frames.get(frame).revision, project.labels.of_frame(frame)) == (0, ())
+        # a change that is based on it is refused, as any other
+        with pytest.raises(StaleRevisionError):
+            project.labels.create(frame, [NewLabel("hand", box_at(1))], by_hand())
+    assert project.frames.get(frame).revision == len(project.labels.of_frame(frame)) == 1
+
+
+def test_a_finalised_frame_refuses_automatic_writes(project: Project, frame: int) -> None:
+    project.frames.finalise(frame, by_hand())
+    before = state_of(project)
+    for revision in (0, 1):
+        for refused in (
+            lambda change: project.proposals.replace(frame, [proposal_at()], change),
+            lambda change: project.boxes.set_on_image(frame, [HAND], BoxKind.BOX, change),
+            lambda change: project.frames.reopen(frame, change),
+        ):
+            with pytest.raises(FinalisedFrameError, match="frame 2 of recording take is finalised"):
+                refused(by_machine(revision))
+    assert state_of(project) == before
+
+
+def test_an_operator_may_change_and_reopen_a_finalised_frame_once(project: Project, frame: int) -> None:
+    with pytest.raises(ProjectError, match="frame 2 of recording take: the frame is not finalised"):
+        project.frames.reopen(frame, by_hand())
+    project.frames.finalise(frame, by_hand())
+    project.boxes.set_on_image(frame, [HAND], BoxKind.BOX, by_hand(1))
+    with pytest.raises(ProjectError, match="already finalised"):
+        project.frames.finalise(frame, by_hand(2))
+    project.frames.reopen(frame, by_hand(2))
+    project.proposals.replace(frame, [proposal_at()], by_machine(3))
+    assert len(project.labels.of_frame(frame)) == 1
+
+
+def test_an_unknown_class_is_refused(project: Project, frame: int) -> None:
+    stray = Box2D("hnad", 0.0, 0.0, 1.0, 1.0)
+    for refused in (
+        lambda: project.boxes.set_on_image(frame, [HAND, stray], BoxKind.BOX, by_hand()),
+        lambda: project.labels.create(frame, [NewLabel("hnad", box_at())], by_hand()),
+        lambda: project.proposals.replace(frame, [proposal_at(label="hnad")], by_machine()),
+    ):
+        with pytest.raises(ProjectError, match=r"'hnad' is not a class of the project; did you mean 'hand'\?"):
+            refused()
+    assert project.frames.get(frame).revision == 0
+
+
+def test_every_event_has_author_time_and_source(project: Project, frame: int) -> None:
+    project.boxes.set_on_image(frame, [HAND], BoxKind.BOX, WriteContext(0, "importer", Source.IMPORTED))
+    (event,) = project.log.of_frame(frame)
+    assert (event.author, event.source) == ("importer", Source.IMPORTED)
+    assert event.time_ns > 1_700_000_000 * 10**9
+    with pytest.raises(ProjectError, match="needs an author"):
+        WriteContext(1, "  ")
+
+
+@contextmanager
+def counted() -> Iterator[list[str]]:
+    """Collects the SQL statements within the block."""
+    executed: list[str] = []
+
+    def record(connection, cursor, statement, parameters, context, many) -> None:
+        executed.append(statement)
+
+    event.listen(Engine, "before_cursor_execute", record)
+    try:
+        yield executed
+    finally:
+        event.remove(Engine, "before_cursor_execute", record)
+
+
+def test_a_longer_recording_needs_no_more_statements(tmp_path: Path) -> None:
+    counts = []
+    for frames in (20, 2_000):
+        with create_project(tmp_path, f"long{frames}", ("hand",)) as project, counted() as executed:
+            project.recordings.add(tmp_path / "r", "rgbd", "long", [f"{n:06d}" for n in range(frames)], True)
+            run = project.jobs.start(image_detector="a", view_detector="b", config_json="{}")
+            assert len(project.jobs.pending(run.key)) == frames
+            _ = project.statistics(), project.frames.of(), project.labels.select()
+            counts.append(len(executed))
+    assert counts[0] == counts[1] < 100

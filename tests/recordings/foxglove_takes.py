@@ -9,9 +9,9 @@ from typing import Any
 
 import cv2
 import numpy as np
+from bag_writer import IMAGE, POINTS_M, SIZE, START_NS, T_CAMERA_LIDAR, K
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.writer import CompressionType, IndexType, Writer
-from ros_takes import IMAGE, POINTS_M, SIZE, START_NS, T_CAMERA_LIDAR, K
 
 DOUBLE, FIXED32, BYTES, STRING, MESSAGE, INT64, INT32 = 1, 7, 12, 9, 11, 3, 5
 REPEATED = 3

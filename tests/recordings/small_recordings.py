@@ -12,9 +12,8 @@ import cv2
 import numpy as np
 import phone_samples as made
 from argoverse_samples import write_log
-from cloud_samples import SCAN, camera_file, put_image
+from cloud_samples import CAMERAS, LIDAR, OBJECT_CALIB, SCAN, TIMES, TRACKING_CALIB, camera_file, put_image
 from dataset_samples import write
-from kitti_samples import CAMERAS, LIDAR, OBJECT_CALIB, TIMES, TRACKING_CALIB
 from nuscenes_samples import small
 from rgbd_samples import png
 from scipy.io import savemat

@@ -1,4 +1,4 @@
-"""Small recordings of all formats: the files of a frame, which `add` looks at; known damage is an error; times."""
+"""Small recordings of all formats: files of a frame, known damage, times; images that are complete or refused."""
 
 from __future__ import annotations
 
@@ -10,17 +10,23 @@ from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import small_recordings as made
-from kitti_samples import HEIGHT, WIDTH
-from rgbd_samples import png
+from cloud_samples import HEIGHT, WIDTH
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rgbd_samples import png, write_rgbd
 from small_recordings import cloud_folder, kitti_object, kitti_raw, kitti_tracking, rgbd_folder, sunrgbd_extracted
 
+from annotator.frame_limits import most_pixels
+from annotator.image_bytes import decode_image
 from annotator.recordings import open_recording
 from annotator.recordings.frame_times import has_times, known_times, read_times, recorded_times
+from annotator.recordings.image_file import read_color_image
 from annotator.recordings.recording import Recording
-from annotator.types.errors import RecordingError
+from annotator.types.errors import FrameError, RecordingError
 from annotator.workflows.recorded.condition import broken_frames
 
 Change = Callable[[bytes], bytes | None]
@@ -59,6 +65,7 @@ KNOWN_CASES: list[Case] = [
     (kitti_tracking, "calib.txt", replaced(rb"P2: 7\.", b"P2: 7,"), "P2: '7,0*e.01' has a decimal comma; "),
     (kitti_raw, "calib_velo_to_cam.txt", replaced(rb"R: \S+", b"R: 0.9"), "pose is not a rotation"),
     (kitti_raw, "calib_velo_to_cam.txt", replaced(rb"T: ", b"T: 1 "), "must have 3 numb"),
+    (kitti_raw, "calib_velo_to_cam.txt", removed, "the calibration is missing"),
     *((kitti_raw, "image_02/timestamps.txt", lambda _, time=time: time, "line 1 must")
       for time in (b"2011-02-31 13:02:25.9\n", b"1317042145\n")),
     (rgbd_folder, "color/0.png", lambda old: old[:-20], "the image is damaged or truncated.*; "),
@@ -196,3 +203,112 @@ def test_lists_of_tum_without_times_are_an_error(tmp_path: Path):
         (tmp_path / f"{name}.txt").write_text(f"0 {name}/1.png\n0.0 {name}/2.png\n1 {name}/3.png\n")
     with pytest.raises(RecordingError, match=r"rgb\.txt: the time of 2 images is 0"):
         open_recording(tmp_path)
+
+
+PICTURE = np.random.default_rng(3).integers(0, 255, (40, 56, 3)).astype(np.uint8)
+BASELINE = cv2.imencode(".jpg", PICTURE)[1].tobytes()
+PROGRESSIVE = cv2.imencode(".jpg", PICTURE, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+RESTARTS = cv2.imencode(".jpg", PICTURE, [cv2.IMWRITE_JPEG_RST_INTERVAL, 2])[1].tobytes()
+PNG = cv2.imencode(".png", PICTURE)[1].tobytes()
+PICTURES = {"baseline": BASELINE, "progressive": PROGRESSIVE, "restarts": RESTARTS, "png": PNG}
+
+
+@pytest.mark.parametrize("kind", PICTURES)
+def test_complete_files_are_accepted_also_with_trailing_bytes(kind: str):
+    for data in (PICTURES[kind], PICTURES[kind] + b"\0appended by a camera"):
+        assert decode_image(data, cv2.IMREAD_COLOR).shape == PICTURE.shape
+
+
+@settings(deadline=None)
+@given(st.sampled_from(sorted(PICTURES)), st.data())
+def test_a_file_cut_anywhere_is_refused(kind: str, data: st.DataObject):
+    whole = PICTURES[kind]
+    with pytest.raises(ValueError, match=r"is damaged or truncated|cannot be decoded"):
+        decode_image(whole[: data.draw(st.integers(9, len(whole) - 1))], cv2.IMREAD_COLOR)
+
+
+def test_the_end_of_a_thumbnail_is_not_the_end_of_the_image():
+    # an application segment may hold a whole small JPEG, end marker included
+    thumbnail = b"\xff\xe1" + (2 + 6).to_bytes(2, "big") + b"AB\xff\xd8\xff\xd9"
+    with_thumbnail = BASELINE[:2] + thumbnail + BASELINE[2:]
+    decode_image(with_thumbnail, cv2.IMREAD_COLOR)
+    with pytest.raises(ValueError, match="is damaged or truncated"):
+        decode_image(with_thumbnail[:-2], cv2.IMREAD_COLOR)
+
+
+@settings(deadline=None)
+@given(st.integers(8, len(PNG) - 13), st.integers(1, 255))
+def test_any_changed_byte_of_a_png_is_detected(at: int, flip: int):
+    data = bytearray(PNG)
+    data[at] ^= flip
+    with pytest.raises(ValueError, match=r"damaged|cannot be decoded|pixels"):
+        decode_image(bytes(data), cv2.IMREAD_COLOR)
+
+
+ODD = [
+    cv2.imencode(".tiff", PICTURE)[1].tobytes(),
+    b"BM" + struct.pack("<IIIIiiHHIIiiII", 54, 0, 54, 40, 15_000, 15_000, 1, 24, 0, 0, 0, 0, 0, 0),
+    # after a marker without a length, decoders and parsers that skip segments find different headers
+    BASELINE[:2] + b"\xff\x01\0\4AB" + BASELINE[2:],
+]
+
+
+@pytest.mark.parametrize("content", ODD, ids=["tiff", "large-bmp", "marker"])
+def test_other_formats_are_refused_despite_their_suffix(tmp_path: Path, content: bytes):
+    (tmp_path / "a.png").write_bytes(content)
+    with pytest.raises(FrameError, match=r"a\.png: cannot be decoded as a PNG or JPEG image"):
+        read_color_image(tmp_path / "a.png")
+
+
+def test_a_jpeg_of_too_many_pixels_is_refused():
+    at, side = BASELINE.index(b"\xff\xc0"), int(most_pixels() ** 0.5)
+    data = BASELINE[: at + 5] + struct.pack(">HH", side + 1, side) + BASELINE[at + 9 :]
+    with pytest.raises(ValueError, match=f"{side} x {side + 1} pixels is too large: .* ANNOTATOR_FRAME_MEMORY"):
+        decode_image(data, cv2.IMREAD_COLOR)
+
+
+@pytest.mark.shared
+def test_real_images_are_complete(shared: Path):
+    files = [path for path in (shared / "data").rglob("*") if path.suffix in (".png", ".jpg")]
+    assert len(files) > 100
+    for path in files:
+        decode_image(path.read_bytes(), cv2.IMREAD_UNCHANGED)
+
+
+COLOR = np.random.default_rng(5).integers(0, 256, (8, 12, 3)).astype(np.uint8)
+COLOR[0, 0] = 255
+
+
+def rgbd(folder: Path, colors: list[np.ndarray]) -> Path:
+    depth = np.full(COLOR.shape[:2], 2000, np.uint16)
+    return write_rgbd(folder, {str(number): (color, depth) for number, color in enumerate(colors)})
+
+
+DEEP = [(8, 3), (10, 1), (12, 3), (16, 1)]
+
+
+def deep(bits: int, channels: int) -> np.ndarray:
+    """The colours in numbers of 16 bits that use so many."""
+    values = np.floor(COLOR * ((2**bits - 1) / 255) + 0.5).astype(np.uint16)
+    return values if channels == 3 else values[:, :, 0]
+
+
+def shallow(channels: int) -> np.ndarray:
+    return COLOR if channels == 3 else np.repeat(COLOR[:, :, :1], 3, axis=2)
+
+
+@pytest.mark.parametrize(("bits", "channels"), DEEP)
+def test_pictures_of_10_to_16_bits_have_their_own_range(tmp_path: Path, bits: int, channels: int):
+    frame = open_recording(rgbd(tmp_path, [deep(bits, channels)])).frame(0)
+    np.testing.assert_array_equal(frame.rgb, shallow(channels))
+    assert frame.cloud.rgb is not None
+
+
+def test_one_range_is_that_of_all_pictures(tmp_path: Path):
+    """12 bits; the dark picture uses four."""
+    dark = 1
+    pictures = [deep(12, 3)] * 3
+    pictures[dark] = np.full_like(pictures[0], 15)
+    recording = open_recording(rgbd(tmp_path, pictures))
+    for number in (2, 0, 1):
+        np.testing.assert_array_equal(recording.frame(number).rgb, np.zeros_like(COLOR) if number == dark else COLOR)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from live_server import ended, running
 from room_api import BOX, change, state
-from test_events import listen, next_of
+from test_annotation_api import listen, next_of
 
 from annotator.project import open_project
 from annotator.project.config import rename_project, set_aside

@@ -1,7 +1,8 @@
-"""Tools of a frame over HTTP: tracks and following, classes and values, and the alignment of cloud and image."""
+"""Tools of a frame over HTTP: following, classes and values, alignment; frames of a rig."""
 
 from __future__ import annotations
 
+import json
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +11,7 @@ import httpx
 import numpy as np
 import pytest
 from live_server import PATIENCE_S, wait_until
-from room_api import BOX, ROOM, change, propose, state
+from room_api import BOX, ROOM, change, label_object, propose, rig_settings, state
 from scipy.spatial import cKDTree
 
 from annotator.project import NewLabel, Project, WriteContext
@@ -18,6 +19,7 @@ from annotator.project.classes.edit import RenameClass
 from annotator.recordings import open_recording
 from annotator.types import Correction
 from annotator.web.follow_runs import FollowRuns
+from annotator.web.security import ServerSettings
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.follow_objects import Follower
 from annotator.workflows.tracks.follow_run import follow_from_frame
@@ -258,3 +260,55 @@ def test_a_large_correction_of_the_command_line_can_be_changed(live: Live, proje
     stored = shown(live.client)["correction"]
     answer = correct(live.client, {**stored, "turn_deg": [1.0, *stored["turn_deg"][1:]]})
     assert answer.status_code == 200, answer.text
+
+
+@pytest.fixture
+def web_settings(tmp_path: Path) -> ServerSettings:
+    return rig_settings(tmp_path)
+
+
+@pytest.fixture
+def rig_live(own_live: Live) -> Live:
+    return own_live
+
+
+def add_all(rig_live: Live, **options: Any) -> list[dict[str, Any]]:
+    body = {"path": "clouds/drive", "options": {"look_around": 4, **options}}
+    answer = rig_live.client.post("/api/projects/room/recordings", json=body)
+    assert answer.status_code == 200, answer.text
+    added: list[dict[str, Any]] = answer.json()["added"]
+    return added
+
+
+def test_a_camera_whose_folder_is_gone_does_not_hide_the_frame(rig_live: Live, tmp_path: Path) -> None:
+    add_all(rig_live, camera="all")
+    assert state(rig_live.client, 1)["labels"] == []
+    (tmp_path / "clouds" / "drive").rename(tmp_path / "clouds" / "moved")
+    assert state(rig_live.client, 1)["frame"]["key"] == "0"
+    # all cameras of the folder are moved together
+    answer = rig_live.client.patch("/api/projects/room/recordings/2", json={"path": "clouds/moved"})
+    assert answer.status_code == 200, answer.text
+    stored = rig_live.context.project("room").recordings.all()
+    assert {one.path for one in stored} == {(tmp_path / "clouds" / "moved").resolve()}
+
+
+def test_a_page_shows_the_labels_that_its_camera_sees_and_hears_of_changes_in_another(rig_live: Live) -> None:
+    add_all(rig_live, camera="all")
+    rig_project = rig_live.context.project("room")
+    with rig_live.listen() as page:
+        uid = label_object(rig_project, 1, -10.0)
+        assert [[label["uid"] for label in state(rig_live.client, frame)["labels"]] for frame in range(1, 5)] == [
+            [uid], [uid], [], [],
+        ]  # fmt: skip
+        tracks = rig_live.client.get("/api/projects/room/recordings/2/tracks").json()
+        assert (tracks["frames"], tracks["lanes"]) == ([2], [{"track_id": 3, "spans": [[0, 0, "car", 0]]}])
+        assert state(rig_live.client, 2)["frame"]["cameras"] == {"1": 1, "2": 2, "3": 3, "4": 4}
+        assert {each["rig_id"] for each in rig_live.client.get("/api/projects/room/recordings").json()} == {1}
+        assert change(rig_live.client, 1, {"kind": "reject", "uid": uid}, frame=2).status_code == 200
+        heard: dict[int, int] = {}
+        while heard.get(1) != 2:
+            message = json.loads(page.recv(PATIENCE_S))
+            if message["type"] == "frame":
+                heard[message["frame"]] = message["revision"]
+    assert change(rig_live.client, 1, {"kind": "accept", "uid": uid}, frame=1).status_code == 409
+    assert [label["state"] for label in state(rig_live.client, 1)["labels"]] == ["rejected"]

@@ -99,10 +99,7 @@ NONSENSE = (
 )
 ODD: dict[str, Callable[[Path], object]] = {
     "dropped": damage("DROP TABLE labels"),
-    "a-view": damage("DROP TABLE labels;;CREATE VIEW labels AS SELECT 1"),
     "too-new": damage("PRAGMA user_version = 1000"),
-    "not-one": lambda folder: (folder / "project.db").write_bytes(b"no database" * 1000),
-    "empty": lambda folder: (folder / "project.db").write_bytes(b""),
     "a-link": lambda folder: (folder / "models" / "view").symlink_to("/"),
     "json-folder": lambda folder: ((folder / "project.json").unlink(), (folder / "project.json").mkdir()),
 }

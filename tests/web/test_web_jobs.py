@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import fake_jobs
 import pytest
 from live_server import PATIENCE_S, ended, look, running
-from test_events import listen, next_of
+from test_annotation_api import listen, next_of
 
 from annotator.child import Child
 from annotator.project import Project, WriteContext, create_project, open_project

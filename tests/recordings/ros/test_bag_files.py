@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bag_writer import BagWriter
+from bag_writer import IMAGE, MS, START_NS, BagWriter, K, seen_points, write_take
 from foxglove_takes import WRITERS, foxglove_take, picture_take, write_mcap
 from mcap.writer import CompressionType
-from ros_takes import IMAGE, MS, START_NS, K, seen_points, write_take
 
 from annotator.recordings import detect_format, open_recording
 from annotator.recordings.ros import pairing, pictures

@@ -7,16 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_writer import BagWriter, structured
-from ros_takes import (
+from bag_writer import (
     IMAGE,
     MS,
     POINTS_M,
     SIZE,
     START_NS,
     T_CAMERA_LIDAR,
+    BagWriter,
     K,
     seen_points,
+    structured,
     write_camera,
     write_mount,
     write_scan,

@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from bag_writer import BagWriter
+from bag_writer import START_NS, BagWriter, write_camera, write_mount, write_scan
 from browser_page import label_truth
 from room_api import label_object
-from ros_takes import START_NS, write_camera, write_mount, write_scan
 
 from annotator.project import Project, WriteContext, create_project
 from annotator.recordings import open_recording

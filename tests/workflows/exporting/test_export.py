@@ -16,14 +16,11 @@ from annotator.formats.dataset_writing import Lost
 from annotator.formats.rcv import RcvManifest, read_rcv
 from annotator.geometry.oriented_box import box_corners
 from annotator.project import NewLabel, Origin, Project, RunShare, WriteContext
-from annotator.project.classes import edit
-from annotator.project.classes.attributes import Attribute
 from annotator.recordings import Recording, detect_format, open_recording
 from annotator.types import (
     BoxKind,
     DetectorKind,
     Frame,
-    OrientedBox,
     ReviewState,
     Source,
     Suggestion,
@@ -345,42 +342,6 @@ def propose(project: Project, tmp_path: Path, source: str, **fields: Any) -> dic
     return dict(done.of(Note.VALUE))
 
 
-HELMET: dict[str, Any] = {"name": "helmet", "kind": "boolean", "default": False}
-OCCLUSION: dict[str, Any] = {"name": "occlusion", "kind": "integer", "minimum": 0, "maximum": 3}
-POSE: dict[str, Any] = {"name": "pose", "kind": "choice", "choices": ["sitting", "standing"]}
-
-
-def with_attributes(project: Project, *attributes: dict[str, Any]) -> Project:
-    for fields in attributes:
-        project.change_classes(edit.PutAttribute(attribute=Attribute.model_validate(fields)), "ann")
-    return project
-
-
-def test_values_have_the_kinds_of_the_projects_attributes_again(
-    make_project: MakeProject, generated: Path, tmp_path: Path
-) -> None:
-    """nuScenes has them as names, such as `pose.1.5`."""
-    pose = {"name": "pose", "kind": "choice", "choices": ["sitting", "standing up", "1.5"]}
-    state, mass = ({"name": name, "kind": kind} for name, kind in (("state", "text"), ("mass", "number")))
-    values: list[dict[str, Any]] = [
-        {"pose": "standing up", "helmet": True, "mass": 7.0, "occlusion": 2},
-        {"pose": "1.5", "helmet": False, "state": "true", "mass": -81.125, "occlusion": 0},
-    ]
-    one, other = (
-        with_attributes(make_project(generated / "people"), HELMET, OCCLUSION, pose, state, mass) for _ in range(2)
-    )
-    boxes = [OrientedBox.from_parts(np.array([x, 0.0, 4.0]), np.eye(3), np.full(3, 0.4)) for x in (0.0, 1.0)]
-    new = [NewLabel("person", box, attributes=each) for box, each in zip(boxes, values, strict=True)]
-    one.labels.create(one.frames.of()[0].id, new, WriteContext(0, "ann"))
-    export_project(one, tmp_path / "out", ExportFormat.NUSCENES, choose=ExportFilter())
-    import_labels(other, read_labels(BoxFormat.NUSCENES, tmp_path / "out"))
-    found = [dict(entry.label.attributes) for entry in other.labels.select()]
-    assert found == values
-    assert [{name: type(value) for name, value in each.items()} for each in found] == [
-        {name: type(value) for name, value in each.items()} for each in values
-    ]
-
-
 def test_sources_keep_the_names_of_renamed_classes_and_nothing_of_unknown_ones(
     make_project: MakeProject, generated: Path, tmp_path: Path
 ) -> None:
@@ -400,23 +361,6 @@ def test_sources_keep_the_names_of_renamed_classes_and_nothing_of_unknown_ones(
     import_labels(project, read_labels(BoxFormat.RCV, tmp_path / "out"), names={"person": "human"})
     (entry,) = project.labels.select()
     assert [(each.source, each.label) for each in entry.said] == [("centerpoint v2", "human")]
-
-
-def test_imported_proposals_have_attributes_of_the_file_defaults_and_those_of_their_track(
-    make_project: Callable[..., Project], generated: Path, tmp_path: Path
-) -> None:
-    project = with_attributes(make_project(generated / "people"), POSE, HELMET)
-    left_out = propose(project, tmp_path, "a", score=0.9, attributes={"pose": "sitting", "hat": 1})
-    assert left_out == {"hat (not an attribute of the project)": 1}
-    assert attributes(project) == {"pose": "sitting", "helmet": False}
-    # values that were set stay when another source says something of the frame
-    (entry,) = project.labels.select()
-    revision = project.frames.get(entry.frame_id).revision
-    project.labels.set_attributes(entry.frame_id, entry.label.uid, {"helmet": True}, WriteContext(revision, "me"))
-    propose(project, tmp_path, "b", score=0.2)
-    assert attributes(project) == {"pose": "sitting", "helmet": True}
-    project.log.rebuild()
-    assert attributes(project) == {"pose": "sitting", "helmet": True}
 
 
 def attributes(project: Project) -> dict[str, Any]:

@@ -12,11 +12,9 @@ import pytest
 from argoverse_samples import CAMERAS as LOG_CAMERAS
 from argoverse_samples import write_log
 from nuscenes_samples import CAMERAS, real, small
-from scipy.spatial.transform import Rotation
 
 from annotator.formats.sunrgbd import read_extracted_folder
 from annotator.geometry.oriented_box import box_corners
-from annotator.geometry.transforms import level_pose
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import ReaderOptions, Recording, open_recording
 from annotator.recordings.sunrgbd import read_extracted_calibration
@@ -24,7 +22,6 @@ from annotator.types import OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
-from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing import (
     BoxFormat,
     ImportReport,
@@ -95,22 +92,6 @@ def box_csv(project: Project, folder: Path, score: float = 0.7) -> Path:
             rows.append(",".join((name, each.label, *map(str, numbers))))
     (folder / "theirs.csv").write_text("\n".join(rows))
     return folder / "theirs.csv"
-
-
-def test_rows_of_a_box_csv_are_turned_boxes_in_upright_depth(
-    people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path
-) -> None:
-    frame = people.frames.of()[1]
-    up = FrameSource(people).read(frame).up
-    assert up is not None
-    turn = level_pose(up).rotation.inv() * Rotation.from_euler("z", 0.4)
-    mine = OrientedBox.from_parts(np.array([0.1, 0.2, 3.0]), turn.as_matrix(), np.array([0.9, 0.4, 1.8]))
-    people.labels.create(frame.id, [NewLabel("person", mine)], WriteContext(0, "me"))
-    other = make_project(generated / "people")
-    assert import_labels(other, read_labels(BoxFormat.BOX_CSV, box_csv(people, tmp_path, 7.0)))[Note.SCORE] == 1
-    (label,) = other.labels.of_frame(other.frames.of()[1].id)
-    np.testing.assert_allclose(box_corners(label.box), box_corners(mine), atol=1e-5)
-    assert label.score is None
 
 
 def test_proposals_of_an_rcv_export_come_in_and_rejected_boxes_do_not(
