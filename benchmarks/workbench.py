@@ -170,7 +170,7 @@ def timeline(browser: Browser, server: Server, project: str, frames: Sequence[in
     page.add_init_script(f"({DRAWINGS})()")
     answer = {"recording": 1, "frames": ids, "lanes": lanes, "pictures": "v=1"}
     page.route("**/recordings/*/tracks", lambda route: route.fulfill(json=answer))
-    open_mode(page, project, "review", frames[0])
+    open_frame(page, project, frames[0])
     strip, rows = (page.get_by_test_id(f"timeline-{part}").bounding_box() for part in ("strip", "lanes"))
     assert strip is not None and rows is not None
     page.evaluate("window.drawings.length = 0")

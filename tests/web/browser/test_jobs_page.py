@@ -304,4 +304,4 @@ def test_3d_boxes_of_two_detectors_are_proposed_and_their_sources_shown(
     expect(start.get_by_test_id("queue-remaining")).to_have_text("2 proposals")
     items.first.click()
     expect(start.get_by_text("mine: person 0.80, theirs: person 0.60")).to_be_visible()
-    expect(start.get_by_title("Score: ")).to_have_attribute("title", "Score: of mine")
+    expect(start.get_by_title("Score: ")).to_have_attribute("title", "Score: 0.80, of mine")

@@ -44,7 +44,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   }
   const parts = layout();
   root.append(parts.root);
-  showHints(parts.hint, parts.problem, parts.saving);
+  showHints(parts.problem, parts.hint, parts.saving);
   const desk = createDesk(app);
   const queue = createQueue(app, showQueue);
   const opening = createOpening(app, {

@@ -182,10 +182,10 @@ export function createSaveProblem(app, saver, { onRelabel, onDiscard }) {
     const gone = [...saver.labels()].find((label) => !app.state.project.classes.includes(label));
     patch(
       root,
-      `Not saved: ${saver.problem.message} `,
       gone === undefined ? button("Try again", () => saver.retry()) : choice(gone),
       " ",
       button("Discard", onDiscard),
+      ` Not saved: ${saver.problem.message}`,
     );
   }
 
