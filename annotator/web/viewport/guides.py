@@ -94,13 +94,13 @@ def stand(
             return None
         middle, size_m = _depth_m(frame) * ahead + ground.level_m * up, 2 * _depth_m(frame)
     else:
-        middle, size_m = box.center_m, AROUND_SIDES * float(box.size_m.max()) + 0.5 * _depth_m(frame)
+        side_m = float(box.size_m.max())
+        middle, size_m = box.center_m, AROUND_SIDES * side_m + 0.5 * _depth_m(frame)
         ahead = box.rotation[:, 0] - (box.rotation[:, 0] @ up) * up
         if np.linalg.norm(ahead) < 1e-3:
             ahead = ground.axes[0]
         ahead = ahead / np.linalg.norm(ahead)
         left = np.cross(up, ahead)
-        side_m = float(box.size_m.max())
         if look is Look.FOCUS:
             return Stand(middle - FOCUS_SIDES * side_m * gaze, middle, up)
         if look is Look.BEHIND:

@@ -156,10 +156,10 @@ def test_the_bar_of_the_3d_view_filters_colours_and_moves_the_viewer_and_a_handl
     axis = int(np.argmax(lengths))
     sign = np.sign((client.camera.position - box.center_m) @ box.rotation[:, axis])
     grip, end = on_screen(axis, 0.5 * sign), on_screen(axis, 0.6 * sign)
-    wait_for(lambda: bench._server.scene.get_handle_by_name("/selected/faces") is not None)
-    page.wait_for_timeout(1000)  # until the handles are drawn
+    # the handle is drawn, the only thing there that is nearly white
+    clip = {"x": grip[0] - 3, "y": grip[1] - 3, "width": 6, "height": 6}
+    until(page, lambda: np.asarray(Image.open(io.BytesIO(page.screenshot(clip=clip)))).min(axis=2).max() > 215)
     page.mouse.move(*grip)
-    page.wait_for_timeout(300)
     page.mouse.down()
     page.mouse.move(*end, steps=8)
     expect(page.get_by_test_id("label-state")).to_have_text("not saved")
