@@ -389,6 +389,7 @@ function createLoader(/** @type {() => void} */ onLoaded) {
         await new Promise((resolve) => setTimeout(resolve, wait));
         continue;
       }
+      const begun = performance.now();
       const image = new Image();
       image.fetchPriority = "low";
       image.src = url;
@@ -398,6 +399,8 @@ function createLoader(/** @type {() => void} */ onLoaded) {
         () => false,
       );
       known.set(url, isThere);
+      // half of the server's time at most
+      restUntil = Math.max(restUntil, 2 * performance.now() - begun);
       if (isThere) onLoaded();
     }
     isLoading = false;
