@@ -64,9 +64,9 @@ def test_one_goes_anywhere_from_the_timeline_and_the_top_bar(desk: Desk) -> None
     # the slider, the number of a frame; a number that is none means the nearest frame
     page.get_by_test_id("timeline-slider").press("ArrowLeft")
     expect(position).to_have_text("2 / 5")
-    for number, found in (("1", "1 / 5"), ("99", "5 / 5")):
+    for typed, found in (("1", "1 / 5"), ("99", "5 / 5")):
         desk.press("Control+g")
-        page.keyboard.type(number)
+        page.keyboard.type(typed)
         desk.press("Enter")
         expect(position).to_have_text(found)
     desk.press("l")
