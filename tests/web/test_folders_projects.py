@@ -146,7 +146,7 @@ def test_a_project_can_be_created_and_filled(
     new = {"name": "two", "classes": ["person", "hand"], "rotation": "upright"}
     assert client.post("/api/projects", json=new).json()["classes"] == ["person", "hand"]
     added = client.post(place, json={"path": f"{generated.name}/people"}).json()
-    facts = {"id": 1, "name": "people", "format": "rgbd_folder", "frames": 5, "missing": False}
+    facts = {"id": 1, "name": "people", "format": "rgbd_folder", "frames": 5, "missing": False, "rig_id": 1}
     assert added["added"][0]["recording"] == facts
     assert client.get("/api/projects/two").json()["frames"] == 5, "its frames are available at once"
     done = ended(live, added["job"])

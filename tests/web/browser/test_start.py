@@ -82,7 +82,7 @@ def test_frames_that_cannot_be_read_are_left_out_and_a_moved_recording_is_locate
     def answer(route: Route) -> None:
         asked.append(route.request.post_data_json)
         out = len(asked) - 1
-        info = {"id": 1, "name": "people", "format": "rgbd_folder", "frames": 5, "missing": False}
+        info = {"id": 1, "name": "people", "format": "rgbd_folder", "frames": 5, "missing": False, "rig_id": 1}
         added = {"recording": info, "is_new": not out, "new_frames": 0, "notes": []}
         added |= {"broken": ["1 of 5 frames cannot be read", "1 frame (000001): empty"], "left_out": out}
         route.fulfill(json={"added": [added | {"can_leave_out": not out}], "job": None, "note": None})

@@ -64,9 +64,9 @@ def test_one_goes_anywhere_from_the_timeline_and_the_top_bar(desk: Desk) -> None
     # the slider, the number of a frame; a number that is none means the nearest frame
     page.get_by_test_id("timeline-slider").press("ArrowLeft")
     expect(position).to_have_text("2 / 5")
-    for number, found in (("1", "1 / 5"), ("99", "5 / 5")):
+    for typed, found in (("1", "1 / 5"), ("99", "5 / 5")):
         desk.press("Control+g")
-        page.keyboard.type(number)
+        page.keyboard.type(typed)
         desk.press("Enter")
         expect(position).to_have_text(found)
     desk.press("l")
@@ -81,11 +81,11 @@ def test_one_goes_anywhere_from_the_timeline_and_the_top_bar(desk: Desk) -> None
     body = {"path": "clouds/drive", "options": {"look_around": 4, "camera": "all"}}
     assert desk.live.client.post(f"{desk.api}/recordings", json=body).status_code == 200
     page.get_by_test_id("choose-recordings").click()
-    found = page.get_by_test_id("recordings").get_by_role("button")
-    expect(found).to_have_count(2)
-    expect(found.first).to_contain_text("5 frames · 1 of ")
+    choices = page.get_by_test_id("recordings").get_by_role("button")
+    expect(choices).to_have_count(2)
+    expect(choices.first).to_contain_text("5 frames · 1 of ")
     page.keyboard.type("DRI")
-    expect(found).to_have_count(1)
+    expect(choices).to_have_count(1)
     desk.press("Enter")
     expect(page.get_by_test_id("recording-name")).to_have_text("drive")
     expect(position).to_have_text("1 / 1")

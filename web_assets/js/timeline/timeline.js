@@ -22,6 +22,7 @@ import {
   wordsOf,
   zoomed,
 } from "./lanes.js";
+import { createLoader } from "./loader.js";
 import { placeNow } from "./reading.js";
 
 const MODES = new Set(["annotate"]);
@@ -35,9 +36,8 @@ const KNOB = 7;
 const REACH = 4;
 const NO_TRACKS =
   "No tracks yet: an object that is followed through the recording (V), or given a track, has a lane here.";
-/** The slider opens a frame after so long a rest; pictures are loaded so long after a frame was opened. */
+/** The slider opens a frame after so long a rest. */
 const REST_MS = 120;
-const CALM_MS = 1500;
 
 export function mountTimeline(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
   const { state } = app;
@@ -176,7 +176,8 @@ export function mountTimeline(/** @type {HTMLElement} */ root, /** @type {App} *
     (event) => {
       const isOverLanes = event.target instanceof Node && body.contains(event.target);
       const x = event.clientX - root.getBoundingClientRect().left;
-      const aside = event.shiftKey ? event.deltaY : event.deltaX;
+      // some browsers turn it themselves
+      const aside = event.deltaX || (event.shiftKey ? event.deltaY : 0);
       if (event.ctrlKey || (!isOverLanes && !event.shiftKey && event.deltaY !== 0)) {
         setStretch(zoomed(stretch, 1.25 ** -Math.sign(event.deltaY), placeOf(Math.max(x, NAMES)), total()));
       } else if (aside !== 0) setStretch(moved(stretch, aside / perPlace(), total()));
@@ -368,49 +369,3 @@ const partOf = (/** @type {NonNullable<StateValues["span"]>} */ { from, to }, /*
   places.get(from) ?? 0,
   places.get(to) ?? 0,
 ];
-
-/** Loads small pictures one after the other, while no frame is being opened: the server reads a whole frame for each. */
-function createLoader(/** @type {() => void} */ onLoaded) {
-  /** Whether there is a picture. @type {Map<string, boolean>} */
-  const known = new Map();
-  /** @type {string[]} */
-  let wanted = [];
-  let isLoading = false;
-  let restUntil = 0;
-
-  async function load() {
-    if (isLoading) return;
-    isLoading = true;
-    for (;;) {
-      const url = wanted.find((each) => !known.has(each));
-      const wait = restUntil - performance.now();
-      if (url === undefined) break;
-      if (wait > 0) {
-        await new Promise((resolve) => setTimeout(resolve, wait));
-        continue;
-      }
-      const image = new Image();
-      image.fetchPriority = "low";
-      image.src = url;
-      // of a frame that cannot be read, there is none; opening the frame says why
-      const isThere = await image.decode().then(
-        () => true,
-        () => false,
-      );
-      known.set(url, isThere);
-      if (isThere) onLoaded();
-    }
-    isLoading = false;
-  }
-
-  return {
-    has: (/** @type {string} */ url) => known.get(url) === true,
-    want(/** @type {string[]} */ urls) {
-      wanted = urls;
-      void load();
-    },
-    rest() {
-      restUntil = performance.now() + CALM_MS;
-    },
-  };
-}
