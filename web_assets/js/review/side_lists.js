@@ -113,10 +113,11 @@ export function createQueueList(
     show(/** @type {string | null} */ uid) {
       showSources();
       left.textContent = count(queue.remaining, "proposal");
-      const open = new Set(queue.items.map((item) => item.uid));
+      const open = new Map(queue.items.map((item) => [item.uid, item]));
       const known = new Set(standing.map((item) => item.uid));
       const fresh = queue.items.filter((item) => !known.has(item.uid));
-      standing = standing.some((item) => open.has(item.uid)) ? [...standing, ...fresh] : queue.items;
+      const isGoingOn = standing.some((item) => open.has(item.uid));
+      standing = isGoingOn ? [...standing.map((item) => open.get(item.uid) ?? item), ...fresh] : queue.items;
       const at = standing.findIndex((item) => item.uid === uid);
       const from = Math.max(0, STEP * Math.floor((at - STEP / 2) / STEP));
       const recordings = new Map((app.state.project?.recordings ?? []).map(({ id, name }) => [id, name]));
