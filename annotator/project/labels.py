@@ -139,7 +139,10 @@ class Labels:
 
         Rejected boxes do not count, nor do those more than `MOST_BESIDE` frames away.
         """
-        where = {"frame": frame.id, "recording": frame.recording_id, "position": frame.index, "most": MOST_BESIDE}
+        if frame.index is None:
+            return {}
+        where = {"frame": frame.id, "recording": frame.recording_id, "position": frame.index}
+        where |= {"first": frame.index - MOST_BESIDE, "last": frame.index + MOST_BESIDE}
         with self.writer.store.read() as connection:
             rows = connection.execute(_BESIDE, where).all()
             terms = Terms(connection)
@@ -276,12 +279,12 @@ _BESIDE = (
         labels.c.track_id,
         labels.c.box,
         frames.c.id.label("seen_from"),
-        func.min(case((_PLACE < 0, -_PLACE), else_=_PLACE + bindparam("most"))),
+        func.min(case((_PLACE < 0, -_PLACE), else_=_PLACE + MOST_BESIDE)),
     )
     .join(frames, frames.c.moment_id == labels.c.moment_id)
     .where(
         frames.c.recording_id == bindparam("recording"),
-        _PLACE.between(-bindparam("most"), bindparam("most")),
+        frames.c.position.between(bindparam("first"), bindparam("last")),
         frames.c.id != bindparam("frame"),
         labels.c.state != ReviewState.REJECTED.value,
         labels.c.track_id.in_(select(labels.c.track_id).where(labels.c.moment_id == MOMENT)),

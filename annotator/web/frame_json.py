@@ -175,7 +175,7 @@ def _labels(project: Project, page: FramePage, opened: OpenFrame) -> list[LabelJ
     may_be_kept = next((stored.frame_id for stored in page.labels if stored.label.attributes), None)
     kept = frozenset[str]() if may_be_kept is None else project.labels.kept(may_be_kept)
     is_tracked = any(stored.label.track_id is not None for stored in page.labels)
-    beside = project.labels.beside(page.frame) if is_tracked and page.frame.index is not None else {}
+    beside = project.labels.beside(page.frame) if is_tracked else {}
     return [
         LabelJson.of(
             stored.label,

@@ -240,7 +240,8 @@ export function createDesk(/** @type {App} */ app) {
     draft.sending = wanted;
     const { label, box, track_id } = wanted;
     const before = stored(id);
-    // another track id does not change the box, so its review stays valid; a corrected box is that of the whole object, a turned one is the same
+    // another track id does not change the box, so its review stays valid; a corrected box is that of the whole object,
+    // but one that was only turned encloses what it did
     const isTrackOnly = before && before.label === label && sameBox(before.box, box);
     /** @type {Change} */
     const change = isTrackOnly

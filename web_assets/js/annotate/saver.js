@@ -180,12 +180,12 @@ export function createSaveProblem(app, saver, { onRelabel, onDiscard }) {
   function show() {
     if (!saver.problem) return patch(root);
     const gone = [...saver.labels()].find((label) => !app.state.project.classes.includes(label));
+    const text = `Not saved: ${saver.problem.message}`;
     patch(
       root,
+      h("span", { class: "ellipsis", title: text }, text),
       gone === undefined ? button("Try again", () => saver.retry()) : choice(gone),
-      " ",
       button("Discard", onDiscard),
-      ` Not saved: ${saver.problem.message}`,
     );
   }
 

@@ -129,14 +129,11 @@ export function createQueueList(
       left.textContent = count(queue.remaining, queue.order === "teach" ? "frame" : "proposal");
       const frame = app.state.frame?.frame.id;
       const isShown = (/** @type {QueueItem} */ item) => (item.uid === null ? item.frame === frame : item.uid === uid);
-      const open = new Set(queue.items.map(keyOf));
+      const open = new Map(queue.items.map((item) => [keyOf(item), item]));
       const known = new Set(standing.map(keyOf));
       const fresh = queue.items.filter((item) => !known.has(keyOf(item)));
-      // as they are now: their class may have another name
-      const now = new Map(queue.items.map((item) => [keyOf(item), item]));
-      standing = standing.some((item) => open.has(keyOf(item)))
-        ? [...standing.map((item) => now.get(keyOf(item)) ?? item), ...fresh]
-        : queue.items;
+      const isGoingOn = standing.some((item) => open.has(keyOf(item)));
+      standing = isGoingOn ? [...standing.map((item) => open.get(keyOf(item)) ?? item), ...fresh] : queue.items;
       const at = standing.findIndex(isShown);
       const from = Math.max(0, STEP * Math.floor((at - STEP / 2) / STEP));
       const recordings = new Map((app.state.project?.recordings ?? []).map(({ id, name }) => [id, name]));

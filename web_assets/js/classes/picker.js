@@ -112,7 +112,7 @@ export function createClassPicker(/** @type {ModeApp} */ app, /** @type {(name: 
     const isMany = classes.length > ALL;
     const known = used.filter((name) => classes.includes(name));
     const few = isMany ? [...new Set([...known, ...classes])].slice(0, FEW) : classes;
-    const shown = few.includes(current) ? few : [...few.slice(0, FEW - 1), current];
+    const shown = !isMany || few.includes(current) ? few : [...few.slice(0, FEW - 1), current];
     patch(
       root,
       shown.map((label) =>
