@@ -98,7 +98,7 @@ class Folders:
         is_bare = here is None and not any(entry.recording for entry in shown)
         notes = [
             *_on_files(place, [entry.name for entry in entries if entry not in shown] if is_bare else []),
-            *(nearest_formats(place) if is_bare else []),
+            *(_nearest(place) if is_bare else []),
             *_on_links(unfollowed),
             *(
                 [f"only the first {MOST_ENTRIES} of {len(names)} entries are listed"]
@@ -152,6 +152,13 @@ def _on_files(folder: Path, files: Sequence[str]) -> list[str]:
     counted = ", ".join(f"{number} {suffix}" for suffix, number in suffixes.most_common(MOST_NAMED))
     told = dict.fromkeys(ADVICE[suffix] for suffix in suffixes if suffix in ADVICE)
     return [f"{amount(len(files), 'file is', 'files are')} no recording: {counted}", *told]
+
+
+def _nearest(folder: Path) -> list[str]:
+    """Which kinds of recording a folder looks like; none if it may not be looked into."""
+    with suppress(OSError):
+        return nearest_formats(folder)
+    return []
 
 
 def _on_links(names: Sequence[str]) -> list[str]:

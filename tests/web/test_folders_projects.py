@@ -167,6 +167,19 @@ def test_a_project_can_be_created_and_filled(
     assert (listed["two"]["frames"], listed["two"]["recordings"]) == (10, 2)
 
 
+def test_boxes_of_unknown_classes_are_told_and_imported_as_chosen(
+    live: Live, generated: Path, in_threads: None
+) -> None:
+    client = live.client
+    client.post("/api/projects", json={"name": "two", "classes": ["hand"]})
+    added = client.post("/api/projects/two/recordings", json={"path": f"{generated.name}/people"}).json()
+    result = ended(live, added["job"])["result"]
+    assert result == {"frames": 5, "boxes": 0, "unknown": {"person": 15}, "recordings": [1]}
+    again = {"kind": "import", "recordings": [1], "names": {"person": "hand"}}
+    done = ended(live, client.post("/api/projects/two/jobs", json=again).json())
+    assert done["message"] == "imported as labels: 15 hand in 5 frames"
+
+
 def _stale(place: Path) -> Callable[..., os.stat_result]:
     """A `Path.stat` for which `place` is on a lost mount."""
     stat = Path.stat

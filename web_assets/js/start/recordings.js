@@ -313,13 +313,20 @@ export function createFolders(app, options) {
   });
   const list = h("ul", { class: "folders", "data-testid": "folders", tabindex: -1 });
 
+  let asked = 0;
+
   async function show(/** @type {string} */ wanted) {
+    asked += 1;
+    const own = asked;
+    const before = typed.value;
     try {
       /** @type {Api.FolderListing} */
       const { path, here, entries, notes, kinds } = await app.api.get(
         `/api/folders?path=${encodeURIComponent(wanted)}`,
       );
-      typed.value = path;
+      if (own !== asked) return;
+      // what is typed meanwhile stays
+      if (typed.value === before) typed.value = path;
       crumbs.replaceChildren(...makeCrumbs(path, show));
       list.replaceChildren(
         ...[...(here ? [{ ...here, is_folder: false }] : []), ...entries].map((entry) =>
@@ -327,8 +334,9 @@ export function createFolders(app, options) {
         ),
         ...explain(path, entries.length > 0 || here !== null, notes, kinds),
       );
-      list.focus();
+      if (document.activeElement !== typed) list.focus();
     } catch (error) {
+      if (own !== asked) return;
       list.replaceChildren(h("li", { class: "error-box", role: "alert" }, messageOf(error)));
     }
   }
