@@ -40,7 +40,8 @@ class Count(Strict):
     """What an operation does: numbers of boxes.
 
     `reviewed`: of those that are changed or deleted. Unchanged: `finalised` boxes, or frames to fill, in finalised
-    frames, and `covered` ones where the object is labelled already, or was rejected. `number`: what the boxes get.
+    frames, and `covered` ones where the object is labelled already, or was rejected. `number`: what the boxes get;
+    `joined`: how many boxes have it before.
     """
 
     changed: int = 0
@@ -50,6 +51,7 @@ class Count(Strict):
     finalised: int = 0
     covered: int = 0
     number: int | None = None
+    joined: int = 0
 
     def words(self) -> str:
         """Such as "changes 25 boxes, 3 of them reviewed; unchanged: 2 in finalised frames"."""
@@ -57,10 +59,12 @@ class Count(Strict):
             replaced = f" in place of {amount(self.deleted, 'other proposal')}" if self.deleted else ""
             said = f"proposes {amount(self.proposed, 'box')}{replaced}"
         else:
-            of_number = "" if self.number is None else f" to number {self.number}"
-            done = ("changes", self.changed, of_number), ("deletes", self.deleted, "")
-            said = " and ".join(f"{verb} {amount(number, 'box')}{more}" for verb, number, more in done if number)
+            done = ("changes", self.changed), ("deletes", self.deleted)
+            said = " and ".join(f"{verb} {amount(number, 'box')}" for verb, number in done if number)
             said += f", {self.reviewed or 'none'} of them reviewed"
+        if self.number is not None:
+            of_track = f"that of {amount(self.joined, 'other box')}" if self.joined else "a new one"
+            said += f"; their number is {self.number}, {of_track}"
         return f"{said}; unchanged: {self.left()}" if self.left() else said
 
     def left(self) -> str:
@@ -179,6 +183,7 @@ class SetNumber(_OfSpan):
         if number == track.track_id:
             raise ConfigError(f"{track.name} has this number already; give another one")
         there = {frame.id: stored for frame, stored in track.boxes(number)}
+        yield Step(next(iter(track.frames.values())), (), Count(number=number, joined=len(there)))
         for frame, stored in track.boxes():
             if frame.id not in track.inside:
                 continue
@@ -189,11 +194,11 @@ class SetNumber(_OfSpan):
             numbered = LabelChanged(uid=stored.label.uid, track_id=number)
             own, its = (each is not None and each.label.state in REVIEWED for each in (stored, other))
             if other is None:
-                yield Step(frame, [numbered], Count(changed=1, reviewed=own, number=number))
+                yield Step(frame, [numbered], Count(changed=1, reviewed=own))
             elif its and not own:
-                yield Step(frame, [LabelDeleted(uid=stored.label.uid)], Count(deleted=1, number=number))
+                yield Step(frame, [LabelDeleted(uid=stored.label.uid)], Count(deleted=1))
             else:
-                count = Count(changed=1, deleted=1, reviewed=own + its, number=number)
+                count = Count(changed=1, deleted=1, reviewed=own + its)
                 yield Step(frame, [LabelDeleted(uid=other.label.uid), numbered], count)
 
 
