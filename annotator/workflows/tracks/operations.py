@@ -17,7 +17,7 @@ from pydantic import ConfigDict, Field
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import same_box
-from annotator.project import REVIEWED, Effort, Project, StoredFrame, StoredLabel, WriteContext
+from annotator.project import REVIEWED, Effort, FramePart, Project, StoredFrame, StoredLabel, WriteContext
 from annotator.project.changes import ChangedValues, LabelChanged, LabelDeleted, Payload, TrackId
 from annotator.project.classes.attributes import Attribute, AttributeOf
 from annotator.project.overview import read_page
@@ -343,30 +343,25 @@ def apply(
     """
     if abs(track_id) > MOST_TRACK:
         raise ConfigError(f"track ids are at most {MOST_TRACK}, not {track_id:.6g}; give the id of a track")
+    new_track = isinstance(operation, SetNumber) and operation.number is None
     for _ in range(ATTEMPTS):
-        track = Track(project, recording_id, track_id, operation, None if dry_run else fit)
-        steps = list(operation.steps(track))
-        count = _sum([step.count for step in steps])
-        if not (count.changed or count.proposed or count.deleted):
-            raise ConfigError(_nothing(track, operation, count))
-        if told is not None and told != count:
-            raise ConfigError(f"{track.name} was changed in the meantime: this now {count.words()}; look at it again")
-        if dry_run:
-            return count
-        changed = sorted((step for step in steps if step.events), key=lambda step: step.frame.id != at)
-        parts = [
-            part
-            for number, step in enumerate(changed)
-            for part in parts_of(
-                project,
-                read_page(project, step.frame.id),
-                step.events,
-                WriteContext(step.frame.revision, author, effort=None if number else effort),
-            )
-        ]
-        new_tracks = [count.number] if isinstance(operation, SetNumber) and operation.number is None else []
+        with project.store.snapshot():
+            track = Track(project, recording_id, track_id, operation, None if dry_run else fit)
+            steps = list(operation.steps(track))
+            count = _sum([step.count for step in steps])
+            if not (count.changed or count.proposed or count.deleted):
+                raise ConfigError(_nothing(track, operation, count))
+            if told is not None and told != count:
+                raise ConfigError(f"{track.name} was changed in the meantime: this now {count.words()}; look again")
+            if dry_run:
+                return count
+            changed = sorted((step for step in steps if step.events), key=lambda step: step.frame.id != at)
+            parts: list[FramePart] = []
+            for step in changed:
+                context = WriteContext(step.frame.revision, author, effort=None if parts else effort)
+                parts += parts_of(project, read_page(project, step.frame.id), step.events, context)
         try:
-            project.log.append_to_frames(parts, new_tracks=[each for each in new_tracks if each is not None])
+            project.log.append_to_frames(parts, new_tracks=[count.number] if new_track and count.number else [])
         except StaleRevisionError:
             continue
         return count
