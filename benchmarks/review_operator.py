@@ -34,8 +34,8 @@ from annotator.rcv.known_objects import draw_object
 from annotator.rcv.teach import project_box
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, PseudoView, ReviewState
 from annotator.types.errors import ConfigError
-from annotator.workflows.tracks.key_frames import carry_correction
 from annotator.workflows.tracks.follow_run import follow_from_frame
+from annotator.workflows.tracks.key_frames import carry_correction
 from annotator.workflows.training.held_out import inaccurate
 from annotator.workflows.workbench.contact_sheet import picture
 from annotator.workflows.workbench.drawing_steps import frame_config, label_config, label_steps

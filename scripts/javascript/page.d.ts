@@ -469,7 +469,6 @@ type Queue = ReturnType<typeof import("../../web_assets/js/annotate/queue.js").c
 /** A box of a frame, or without a uid the frame itself. */
 type Target = { frame: number; uid: string | null };
 /** Frames of a recording, both included; null: from its first, to its last one. */
-type FrameSpan = { from: number | null; to: number | null };
 
 // -- charts
 

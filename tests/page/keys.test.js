@@ -45,11 +45,14 @@ test("a key has its modifiers in one order, and letters in capitals", () => {
 });
 
 test("a digit is the class on every layout, and a key that no handler has is the browser's", () => {
-  const { press, told } = keysIn("annotate", "class");
+  const { press, told } = keysIn("annotate", "class", "track-class");
   assert.equal(press("é", { code: "Digit2" }), true);
   assert.equal(press("2", { code: "Digit2" }), true);
   assert.equal(press("x"), false);
-  assert.deepEqual(told, ["class 2", "class 2"]);
+  // with Shift that of the whole track, also where this types the digit
+  assert.equal(press("@", { code: "Digit2", shiftKey: true }), true);
+  assert.equal(press("2", { code: "Digit2", shiftKey: true }), true);
+  assert.deepEqual(told, ["class 2", "class 2", "track-class 2", "track-class 2"]);
 });
 
 test("a key works in its own modes, and the newest handler has it", () => {

@@ -223,7 +223,7 @@ def test_an_operation_on_a_track_is_told_before_it_is_done(live: Live, project: 
     track = f"{ROOM}/recordings/1/tracks/7"
     split = {"operation": {"do": "number", "from": 2}, "at": 2}
     told = live.client.post(track, json=split).json()
-    assert told["words"] == "changes 1 box to number 8, none of them reviewed"
+    assert told["words"] == "changes 1 box, none of them reviewed; their number is 8, a new one"
     assert [box["uid"] for box in live.client.get(track).json()] == [first, second], "it was only counted"
     untrue = live.client.post(track, json={**split, "told": {**told["count"], "changed": 5}})
     assert (untrue.status_code, untrue.json()["error"]["kind"]) == (400, "ConfigError")

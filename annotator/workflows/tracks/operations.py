@@ -17,7 +17,7 @@ from pydantic import ConfigDict, Field
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import same_box
-from annotator.project import REVIEWED, Effort, Project, StoredFrame, StoredLabel, WriteContext
+from annotator.project import REVIEWED, Effort, FramePart, Project, StoredFrame, StoredLabel, WriteContext
 from annotator.project.changes import ChangedValues, LabelChanged, LabelDeleted, Payload, TrackId
 from annotator.project.classes.attributes import Attribute, AttributeOf
 from annotator.project.overview import read_page
@@ -40,7 +40,8 @@ class Count(Strict):
     """What an operation does: numbers of boxes.
 
     `reviewed`: of those that are changed or deleted. Unchanged: `finalised` boxes, or frames to fill, in finalised
-    frames, and `covered` ones where the object is labelled already, or was rejected. `number`: what the boxes get.
+    frames, and `covered` ones where the object is labelled already, or was rejected. `number`: what the boxes get;
+    `joined`: how many boxes have it before.
     """
 
     changed: int = 0
@@ -50,6 +51,7 @@ class Count(Strict):
     finalised: int = 0
     covered: int = 0
     number: int | None = None
+    joined: int = 0
 
     def words(self) -> str:
         """Such as "changes 25 boxes, 3 of them reviewed; unchanged: 2 in finalised frames"."""
@@ -57,10 +59,12 @@ class Count(Strict):
             replaced = f" in place of {amount(self.deleted, 'other proposal')}" if self.deleted else ""
             said = f"proposes {amount(self.proposed, 'box')}{replaced}"
         else:
-            of_number = "" if self.number is None else f" to number {self.number}"
-            done = ("changes", self.changed, of_number), ("deletes", self.deleted, "")
-            said = " and ".join(f"{verb} {amount(number, 'box')}{more}" for verb, number, more in done if number)
+            done = ("changes", self.changed), ("deletes", self.deleted)
+            said = " and ".join(f"{verb} {amount(number, 'box')}" for verb, number in done if number)
             said += f", {self.reviewed or 'none'} of them reviewed"
+        if self.number is not None:
+            of_track = f"that of {amount(self.joined, 'other box')}" if self.joined else "a new one"
+            said += f"; their number is {self.number}, {of_track}"
         return f"{said}; unchanged: {self.left()}" if self.left() else said
 
     def left(self) -> str:
@@ -179,6 +183,7 @@ class SetNumber(_OfSpan):
         if number == track.track_id:
             raise ConfigError(f"{track.name} has this number already; give another one")
         there = {frame.id: stored for frame, stored in track.boxes(number)}
+        yield Step(next(iter(track.frames.values())), (), Count(number=number, joined=len(there)))
         for frame, stored in track.boxes():
             if frame.id not in track.inside:
                 continue
@@ -189,11 +194,11 @@ class SetNumber(_OfSpan):
             numbered = LabelChanged(uid=stored.label.uid, track_id=number)
             own, its = (each is not None and each.label.state in REVIEWED for each in (stored, other))
             if other is None:
-                yield Step(frame, [numbered], Count(changed=1, reviewed=own, number=number))
+                yield Step(frame, [numbered], Count(changed=1, reviewed=own))
             elif its and not own:
-                yield Step(frame, [LabelDeleted(uid=stored.label.uid)], Count(deleted=1, number=number))
+                yield Step(frame, [LabelDeleted(uid=stored.label.uid)], Count(deleted=1))
             else:
-                count = Count(changed=1, deleted=1, reviewed=own + its, number=number)
+                count = Count(changed=1, deleted=1, reviewed=own + its)
                 yield Step(frame, [LabelDeleted(uid=other.label.uid), numbered], count)
 
 
@@ -338,30 +343,25 @@ def apply(
     """
     if abs(track_id) > MOST_TRACK:
         raise ConfigError(f"track ids are at most {MOST_TRACK}, not {track_id:.6g}; give the id of a track")
+    new_track = isinstance(operation, SetNumber) and operation.number is None
     for _ in range(ATTEMPTS):
-        track = Track(project, recording_id, track_id, operation, None if dry_run else fit)
-        steps = list(operation.steps(track))
-        count = _sum([step.count for step in steps])
-        if not (count.changed or count.proposed or count.deleted):
-            raise ConfigError(_nothing(track, operation, count))
-        if told is not None and told != count:
-            raise ConfigError(f"{track.name} was changed in the meantime: this now {count.words()}; look at it again")
-        if dry_run:
-            return count
-        changed = sorted((step for step in steps if step.events), key=lambda step: step.frame.id != at)
-        parts = [
-            part
-            for number, step in enumerate(changed)
-            for part in parts_of(
-                project,
-                read_page(project, step.frame.id),
-                step.events,
-                WriteContext(step.frame.revision, author, effort=None if number else effort),
-            )
-        ]
-        new_tracks = [count.number] if isinstance(operation, SetNumber) and operation.number is None else []
+        with project.store.snapshot():
+            track = Track(project, recording_id, track_id, operation, None if dry_run else fit)
+            steps = list(operation.steps(track))
+            count = _sum([step.count for step in steps])
+            if not (count.changed or count.proposed or count.deleted):
+                raise ConfigError(_nothing(track, operation, count))
+            if told is not None and told != count:
+                raise ConfigError(f"{track.name} was changed in the meantime: this now {count.words()}; look again")
+            if dry_run:
+                return count
+            changed = sorted((step for step in steps if step.events), key=lambda step: step.frame.id != at)
+            parts: list[FramePart] = []
+            for step in changed:
+                context = WriteContext(step.frame.revision, author, effort=None if parts else effort)
+                parts += parts_of(project, read_page(project, step.frame.id), step.events, context)
         try:
-            project.log.append_to_frames(parts, new_tracks=[each for each in new_tracks if each is not None])
+            project.log.append_to_frames(parts, new_tracks=[count.number] if new_track and count.number else [])
         except StaleRevisionError:
             continue
         return count

@@ -42,11 +42,8 @@ def proposal_events(
         frame: the frame before the change.
         where_rejected: propose boxes also where a label was rejected.
     """
-    labels = read_page(project, frame.id).labels
-    new = [box for box in _once(boxes) if blocking(box, labels) is None]
-    if not where_rejected:
-        rejected = [stored.label for stored in labels if stored.label.state is ReviewState.REJECTED]
-        new = [box for box, cover in zip(new, covered_by(new, rejected), strict=True) if cover is None]
+    labels = project.labels.of_moment(frame.id)
+    new = _free(_once(boxes), labels, where_rejected=where_rejected)
     if not new:
         return []
     replaced = [LabelDeleted(uid=stored.label.uid) for stored in labels if _is_replaced(stored, new)]
@@ -80,7 +77,7 @@ def changed_box(
     `proposal_events` says, or it would be where a box was rejected.
     """
     present = stored.label
-    given = {} if label is None else {"label": label}
+    given: dict[str, Any] = {} if label is None else {"label": label}
     given |= {} if box is None else {"box": BoxRecord.of(box)}
     if present.state in REVIEWED:
         return [LabelChanged(uid=present.uid, state=ReviewState.EDITED, **given)]
@@ -88,9 +85,11 @@ def changed_box(
     said = tuple(each for each in stored.said if each.source != OWN)
     new = replace(present, label=label or present.label)
     proposal = proposal_like(new, present.box if box is None else box, present.track_id, said=said)
-    events = proposal_events(project, frame, [proposal])
+    if present.source is not Source.AUTO:
+        return proposal_events(project, frame, [proposal])
     # One of ours stays the same proposal, so its score, its doubt and the effort for it stay with it.
-    return [LabelChanged(uid=present.uid, **given)] if events and present.source is Source.AUTO else events
+    is_free = _free([proposal], project.labels.of_moment(frame.id))
+    return [LabelChanged(uid=present.uid, **given)] if is_free else []
 
 
 def page_at(project: Project, frame_id: int, revision: int) -> FramePage:
@@ -140,6 +139,15 @@ def blocking(box: NewLabel, labels: Sequence[StoredLabel]) -> Label | None:
     near = [stored for stored in labels if stored.label.label == box.label and _stays(stored, box)]
     overlaps = overlap_at_place([box.box], [stored.label.box for stored in near])[0]
     return near[int(np.argmax(overlaps))].label if overlaps.any() else None
+
+
+def _free(boxes: Sequence[NewLabel], labels: Sequence[StoredLabel], *, where_rejected: bool = False) -> list[NewLabel]:
+    """Returns the boxes that may be proposed in a frame with these labels."""
+    new = [box for box in boxes if blocking(box, labels) is None]
+    if where_rejected:
+        return new
+    rejected = [stored.label for stored in labels if stored.label.state is ReviewState.REJECTED]
+    return [box for box, cover in zip(new, covered_by(new, rejected), strict=True) if cover is None]
 
 
 def why_left_out(box: NewLabel, labels: Sequence[StoredLabel]) -> str:

@@ -267,10 +267,12 @@ def apply_changes(
     """
     for attempt in range(1, ATTEMPTS + 1):
         # if another change comes between this read and the append, the append refuses the stale revision
-        page = read_page(project, frame_id)
-        moved, boxes = _in_other_frames(project, page, payloads, context)
+        with project.store.snapshot():
+            page = read_page(project, frame_id)
+            moved, boxes = _in_other_frames(project, page, payloads, context)
+            parts = [*parts_of(project, page, payloads, context, open_frame), *moved]
         try:
-            project.log.append_to_frames([*parts_of(project, page, payloads, context, open_frame), *moved])
+            project.log.append_to_frames(parts)
         except StaleRevisionError:
             is_own = project.frames.get(frame_id).revision != context.revision
             if is_own or not moved or attempt == ATTEMPTS:

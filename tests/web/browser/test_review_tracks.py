@@ -275,13 +275,13 @@ def test_a_whole_track_changes_once_the_page_has_told_what_that_changes(desk: De
 
     show(desk, 2, uids[2])
     desk.press("e")
-    answer("changes 3 boxes to number 8, 1 of them reviewed")
+    answer("changes 3 boxes, 1 of them reviewed; their number is 8, a new one")
     assert numbers() == [7, 7, 8, 8, 8]
     expect(page.get_by_test_id("field-track")).to_have_value("8")
     # both are one object after all
     page.get_by_test_id("track-merge").click()
     page.get_by_test_id("track-other").fill("7")
-    answer("changes 3 boxes to number 7, 1 of them reviewed")
+    answer("changes 3 boxes, 1 of them reviewed; their number is 7, that of 2 other boxes")
     assert numbers() == [7] * 5
     undo(lambda: numbers() == [7, 7, 8, 8, 8])
     undo(lambda: numbers() == [7] * 5)

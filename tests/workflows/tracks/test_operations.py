@@ -75,7 +75,7 @@ def test_a_class_is_set_once_the_operator_knows_what_it_changes(track: Room) -> 
 def test_a_track_is_split_and_merged_again(track: Room) -> None:
     split = do(track, SetNumber(first=track.frames[2].id))
     assert split == Count(changed=3, reviewed=1, number=4)
-    assert split.words() == "changes 3 boxes to number 4, 1 of them reviewed"
+    assert split.words() == "changes 3 boxes, 1 of them reviewed; their number is 4, a new one"
     assert [[index for index, _ in of_track(track, number)] for number in (3, 4)] == [[0, 1], [2, 3, 4]]
     # the same object was reviewed once more, and is to be one track again
     put(track, 0, OPEN, 4)
@@ -83,7 +83,7 @@ def test_a_track_is_split_and_merged_again(track: Room) -> None:
     put(track, 3, ACCEPTED, 3, person=1)
     merged = do(track, SetNumber(number=4))
     # frame 0: this one is reviewed; frame 1: the other one is; frame 3: both are, so that of this track stays
-    assert merged == Count(changed=2, deleted=3, reviewed=3, number=4)
+    assert merged == Count(changed=2, deleted=3, reviewed=3, number=4, joined=5)
     assert of_track(track, 3) == []
     stays = dict(of_track(track, 4))
     assert sorted(stays) == [0, 1, 2, 3, 4]

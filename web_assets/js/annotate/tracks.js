@@ -28,80 +28,61 @@ export function copiedText(/** @type {PageLabel[]} */ copies) {
 }
 
 /**
- * What is done to a track: the text of the button, its key, what the dialog says above the count, and the operation.
+ * What is done to a track: the text of the button, its key, and the operation, by default of the whole track.
  *
- * @type {Record<string, { text: string, key: string, title: (track: number) => string, help: string,
- *     span: (timeline: Timeline | null, track: number, frame: number) => FrameSpan,
- *     operation: (label: PageLabel) => Record<string, unknown> }>}
+ * @type {Record<string, { text: string, key: string, help: string,
+ *     of: (label: PageLabel, frame: number, timeline: Timeline | null) => Record<string, unknown> }>}
  */
 export const OPERATIONS = {
   split: {
     text: "Split here",
     key: "E",
-    title: (track) => `Split track ${track} here`,
     help: "The boxes from this frame on get a new number.",
-    span: (_timeline, _track, frame) => ({ from: frame, to: null }),
-    operation: () => ({ do: "number", number: null }),
+    of: (_, frame) => ({ do: "number", from: frame }),
   },
   merge: {
     text: "Merge…",
     key: "⇧M",
-    title: (track) => `Merge track ${track} with another one`,
-    help: "Where both have a box in a frame, the reviewed one stays, or else that of this track.",
-    span: () => WHOLE,
-    operation: () => ({ do: "number" }),
+    help: "Where both tracks have a box in a frame, the reviewed one stays, or else that of this track.",
+    of: () => ({ do: "number" }),
   },
-  class: {
-    text: "Class…",
-    key: "⇧1",
-    title: (track) => `Class of track ${track}`,
-    help: "All boxes of the track get this class.",
-    span: () => WHOLE,
-    operation: () => ({ do: "class" }),
-  },
+  class: { text: "Class…", key: "⇧1", help: "All boxes of the track get this class.", of: () => ({ do: "class" }) },
   size: {
     text: "One size",
     key: "Z",
-    title: (track) => `One size for track ${track}`,
     help: "All boxes get the size of this one. Each keeps its rotation, its bottom, and the sides that face the camera.",
-    span: () => WHOLE,
-    operation: ({ box }) => ({ do: "size", size_m: box.size }),
+    of: ({ box }) => ({ do: "size", size_m: box.size }),
   },
   values: {
     text: "Values",
     key: "",
-    title: (track) => `Values of track ${track}`,
     help: "All boxes of the track get the attributes of this one.",
-    span: () => WHOLE,
-    operation: ({ attributes }) => ({ do: "values", values: attributes }),
+    of: ({ attributes }) => ({ do: "values", values: attributes }),
   },
   fill: {
     text: "Fill gap",
     key: "I",
-    title: (track) => `Fill the gaps of track ${track} beside this box`,
-    help: "Boxes are proposed between this box and the ones before and after it.",
-    span: besides,
-    operation: () => ({ do: "fill" }),
+    help: "Boxes are proposed between this one and those before and after it.",
+    of: (label, frame, timeline) => ({ do: "fill", ...besides(timeline, label.track_id, frame) }),
   },
   delete: {
     text: "Delete on",
     key: "⇧Del",
-    title: (track) => `Delete track ${track} from here on`,
     help: "The boxes of this frame and of all later ones are deleted.",
-    span: (_timeline, _track, frame) => ({ from: frame, to: null }),
-    operation: () => ({ do: "delete" }),
+    of: (_, frame) => ({ do: "delete", from: frame }),
   },
 };
-
-/** @type {FrameSpan} */
-const WHOLE = { from: null, to: null };
 
 /**
  * From the track's box before a frame to the one after it, as the timeline has them.
  *
- * @returns {FrameSpan}
+ * @returns {{ from: number, to: number }}
  */
-function besides(/** @type {Timeline | null} */ timeline, /** @type {number} */ track, /** @type {number} */ frame) {
+function besides(
+  /** @type {Timeline | null} */ timeline,
+  /** @type {number | null} */ track,
+  /** @type {number} */ frame,
+) {
   const spans = timeline?.lanes.find(({ track_id }) => track_id === track)?.spans ?? [];
   const place = timeline?.frames.indexOf(frame) ?? -1;
   const before = spans.flatMap(([first, last]) => (first < place ? [Math.min(last, place - 1)] : [])).at(-1);
@@ -202,24 +183,27 @@ export function createTracks(
   }
 
   /**
-   * Asks for what an operation needs, says what it does, and does it.
+   * Asks for what an operation needs, tells what it does, and does it.
    *
    * @param {string} id
-   * @param {string} [digit] the class's key.
+   * @param {string} [digit] the key of a class.
    */
   async function operate(id, digit = "") {
     const label = desk.stored();
     if (!label || label.isNew) return;
-    if (label.track_id === null) return app.toast("This box has no track. Enter a track id, or follow it.", "warn");
+    const { track_id: track } = label;
+    if (track === null) return app.toast("This box has no track. Enter a track id, or follow it.", "warn");
     await desk.flush();
-    const { title: titleOf, help, text, ...of } = OPERATIONS[id];
-    const [track, { id: frame }] = [label.track_id, currentFrame(app).frame];
-    const selected = app.state.span?.trackId === track ? app.state.span : null;
-    const { from, to } = selected ?? of.span(app.state.timeline, track, frame);
-    const fixed = { ...of.operation(label), from, to };
+    const { id: frame } = currentFrame(app).frame;
+    const { text, help, of } = OPERATIONS[id];
+    const { span } = app.state;
+    const selected = span?.trackId === track ? { from: span.from, to: span.to } : {};
     const field = fieldOf(id, label, app.state.project.classes, digit);
-    const note = h("p", { role: "status", "data-testid": "track-count" });
-    const body = () => ({ operation: { ...fixed, ...field?.value() }, at: frame });
+    const body = () => ({
+      operation: { ...of(label, frame, app.state.timeline), ...selected, ...field?.value() },
+      at: frame,
+    });
+    const note = h("p", { role: "status", "data-testid": "track-count" }, "");
     /** @type {Api.OperationOut | null} */
     let told = null;
     let asked = 0;
@@ -230,32 +214,31 @@ export function createTracks(
       told = null;
       try {
         /** @type {Api.OperationOut} */
-        const answer = await app.api.post(path(track), body());
-        if (own !== asked) return;
-        told = answer;
-        note.textContent = `This ${answer.words}.`;
+        const answer = await app.api.post(path(track ?? 0), body());
+        if (own === asked) [told, note.textContent] = [answer, `This ${answer.words}.`];
       } catch (error) {
         if (own === asked) note.textContent = messageOf(error);
       }
     }
 
-    if (!field?.isEmpty) await tell();
+    // the number of the other track is not known yet
+    if (id !== "merge") await tell();
     if (!field && told === null) return app.toast(note.textContent, "warn");
     field?.root.addEventListener("input", () => void tell());
     const done = await openDialog({
-      title: titleOf(track),
+      title: `Track ${track}: ${text.replace("…", "")}`,
       testid: "track-operation",
       content: [h("p", { class: "muted" }, help), ...(field ? [field.root] : []), note],
       actions: [{ label: text.replace("…", ""), value: "yes", kind: id === "delete" ? "danger" : "primary" }],
       async submit() {
         // nothing happens that was not told before
-        if (told === null) throw new Error(note.textContent || "Say with which track.");
-        const { count: expected } = told;
-        return desk.enqueue(() => app.api.change(path(track), { ...body(), told: expected }));
+        if (told === null) throw new Error(note.textContent || "Enter the number of the other track.");
+        const sent = { ...body(), told: told.count };
+        app.effort.action();
+        return desk.enqueue(() => app.api.change(path(track), sent));
       },
     });
     if (!done) return;
-    app.effort.action();
     app.toast(`Track ${track}: ${done.words}.`, "good");
     await app.frames.refresh();
     await onChanged();
@@ -282,32 +265,30 @@ export function createTracks(
 }
 
 /**
- * The field of an operation, what it gives, and whether it is empty at first.
+ * What an operation needs to know beside the box: its field, and what that gives.
  *
- * @param {string} id
- * @param {PageLabel} label
- * @param {string[]} classes
- * @param {string} digit
+ * @returns {{ root: HTMLElement, value: () => object } | null}
  */
-function fieldOf(id, label, classes, digit) {
+function fieldOf(
+  /** @type {string} */ id,
+  /** @type {PageLabel} */ label,
+  /** @type {string[]} */ classes,
+  /** @type {string} */ digit,
+) {
+  const named = (/** @type {string} */ text, /** @type {HTMLElement} */ input) =>
+    h("label", { class: "field" }, h("span", {}, text), input);
   if (id === "merge") {
     const input = h("input", { type: "number", min: 0, step: 1, autofocus: true, "data-testid": "track-other" });
-    const root = h("label", { class: "number-field" }, h("span", {}, "Number of the other track"), input);
-    return { root, isEmpty: true, value: () => ({ number: input.valueAsNumber }) };
+    return { root: named("Number of the other track", input), value: () => ({ number: input.valueAsNumber }) };
   }
   if (id === "class") {
     const options = classes.map((name) => h("option", { value: name }, name));
-    const select = h("select", { "aria-label": "Class", "data-testid": "track-class-name" }, options);
-    select.value = classes[Number(digit) - 1] ?? classes.find((name) => name !== label.label) ?? label.label;
-    return {
-      root: h("label", { class: "number-field" }, h("span", {}, "Class"), select),
-      value: () => ({ label: select.value }),
-    };
+    const select = h("select", { "data-testid": "track-class-name" }, options);
+    select.value = classes[Number(digit) - 1] ?? label.label;
+    return { root: named("Class", select), value: () => ({ label: select.value }) };
   }
   if (id !== "fill") return null;
   const box = h("input", { type: "checkbox", "data-testid": "track-refit" });
-  return {
-    root: h("label", {}, box, " Fit each box to the points of its frame"),
-    value: () => ({ refit: box.checked }),
-  };
+  const root = h("label", {}, box, " Fit each box to the points of its frame");
+  return { root, value: () => ({ refit: box.checked }) };
 }
