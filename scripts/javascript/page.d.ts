@@ -468,7 +468,6 @@ type QueueItem = Api.ItemJson;
 type Queue = ReturnType<typeof import("../../web_assets/js/annotate/queue.js").createQueue>;
 /** A box of a frame, or without a uid the frame itself. */
 type Target = { frame: number; uid: string | null };
-/** Frames of a recording, both included; null: from its first, to its last one. */
 
 // -- charts
 

@@ -18,12 +18,12 @@ from pydantic import ConfigDict, Field
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import same_box
 from annotator.project import REVIEWED, Effort, FramePart, Project, StoredFrame, StoredLabel, WriteContext
-from annotator.project.changes import ChangedValues, LabelChanged, LabelDeleted, Payload, TrackId
+from annotator.project.changes import ChangedValues, LabelChanged, LabelDeleted, Payload
 from annotator.project.classes.attributes import Attribute, AttributeOf
 from annotator.project.overview import read_page
 from annotator.tracking.smooth import between
 from annotator.types import Label, OrientedBox, ReviewState
-from annotator.types.bases import Strict
+from annotator.types.bases import Strict, TrackId
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.types.label import MOST_TRACK, AttributeValue
 from annotator.types.messages import alternatives, amount
