@@ -94,7 +94,7 @@ HEADERS: Mapping[str, str] = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-PLACE = re.compile(r"[a-z0-9_-]{1,64}/(label|review)")
+PLACE = re.compile(r"[a-z0-9_-]{1,64}/(annotate|label|review)")
 # A refresh, not a redirect: browsers do not send SameSite=Strict cookies with a redirect from another site.
 WELCOME = (
     '<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="0;url={url}"><title>annotator</title>'

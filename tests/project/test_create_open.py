@@ -49,6 +49,7 @@ def test_a_new_project_has_its_files(tmp_path: Path) -> None:
             "rcv": {},
             "learn_every": None,
             "learn_minutes": 3.0,
+            "box_kind": "silhouette",
             "backup_hours": 4.0,
             "backups_kept": 5,
         },

@@ -99,7 +99,7 @@ class RenameClass(Strict):
         if self.new in config.classes:
             raise ConfigError(
                 f"project {config.name} has the class {self.new!r} already; to give it the boxes of {self.name!r}, "
-                f"merge them: annotator classes merge {config.name} {self.name} --into {self.new}"
+                f"merge them (annotator classes merge {config.name} {self.name} --into {self.new})"
             )
         classes = [self.new if name == self.name else name for name in config.classes]
         return _replaced(f"rename the class {self.name} to {self.new}", config, {self.name: self.new}, classes)

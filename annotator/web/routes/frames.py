@@ -273,7 +273,8 @@ def reach(at: AtFrame) -> float:
     return float(np.percentile(np.linalg.norm(xyz_m, axis=1), MAP_PERCENT)) if len(xyz_m) else 0.0
 
 
-Axis = Annotated[list[float], Query(min_length=3, max_length=3)]
+Share = Annotated[float, Field(ge=-1.01, le=1.01, allow_inf_nan=False)]
+Axis = Annotated[list[Share], Query(min_length=3, max_length=3)]
 MapSide = Annotated[int, Query(ge=1, le=4096)]
 
 
