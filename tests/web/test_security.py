@@ -143,7 +143,7 @@ def test_on_other_addresses_the_token_permits_any_host_name(tmp_path: Path) -> N
 
 
 def test_the_link_sets_a_cookie(app: FastAPI) -> None:
-    answer = ask(app, "GET", "/", params={"token": TOKEN, "go": "room/review"})
+    answer = ask(app, "GET", "/", params={"token": TOKEN, "go": "room/annotate"})
     assert answer.status_code == 200
     assert TOKEN not in answer.text
     assert "url=/#/room/annotate" in answer.text
@@ -160,10 +160,10 @@ def test_the_link_sets_a_cookie(app: FastAPI) -> None:
 
 
 def test_the_link_leads_only_to_parts_of_the_page(app: FastAPI) -> None:
-    for go in ("//evil.example", "room/../x", 'x"><script>', "room/review#", "javascript:alert(1)", ""):
+    for go in ("//evil.example", "room/../x", 'x"><script>', "room/annotate#", "javascript:alert(1)", ""):
         assert 'url=/"' in ask(app, "GET", "/", params={"token": TOKEN, "go": go}).text
     # the link of an earlier start leads a known browser to the page, too
-    answer = ask(app, "GET", "/", params={"token": "of-an-earlier-start", "go": "room/label"}, cookies={NAME: SECRET})
+    answer = ask(app, "GET", "/", params={"token": "of-an-earlier-start", "go": "room/annotate"}, cookies={NAME: SECRET})
     assert "url=/#/room/annotate" in answer.text
 
 

@@ -17,8 +17,7 @@ AXE = Path(__file__).parents[3] / "scripts/javascript/node_modules/axe-core/axe.
 # The pages with something that is there once they are complete.
 PAGES = {
     "": "[data-testid=new-project]",
-    "/label/1": "[data-testid=image-editor] img.picture[src]",
-    "/review/1": "[data-testid=fields] input",
+    "/annotate/1": "[data-testid=fields] input",
     "/train": "main h1",
     "/export": "[data-testid=export-form]",
     "/statistics": "[data-testid=stats-tiles]",
@@ -50,7 +49,7 @@ def test_no_page_has_a_serious_problem(shared_page: Page, shop: Shop) -> None:
             page.evaluate(AXE.read_text())
             expect(page.locator(there).first).to_be_visible()
             look(f"{scheme} {path}")
-            for key, dialog in (("?", "key-table"), ("/", "class-dialog")) if path == "/review/1" else ():
+            for key, dialog in (("?", "key-table"), ("/", "class-dialog")) if path == "/annotate/1" else ():
                 page.keyboard.press(key)
                 expect(page.get_by_test_id(dialog)).to_be_visible()
                 look(f"{scheme} {dialog}")

@@ -265,7 +265,7 @@ export function nextStep(
 
 /** The first frame of a project; its place stays where there is none. */
 function picture(/** @type {Api.ProjectSummary} */ { name, first_frame }) {
-  const frame = h("a", { class: "picture", href: makeHash(name, "annotate"), tabindex: -1, "aria-hidden": true });
+  const frame = h("a", { class: "picture", href: makeHash(name, "annotate"), tabindex: -1, "aria-hidden": "true" });
   if (first_frame === null) return frame;
   const src = `${projectPath(name, "frames", first_frame)}/image.jpg?width=320`;
   // a frame that cannot be read has none
