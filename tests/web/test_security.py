@@ -163,7 +163,9 @@ def test_the_link_leads_only_to_parts_of_the_page(app: FastAPI) -> None:
     for go in ("//evil.example", "room/../x", 'x"><script>', "room/annotate#", "javascript:alert(1)", ""):
         assert 'url=/"' in ask(app, "GET", "/", params={"token": TOKEN, "go": go}).text
     # the link of an earlier start leads a known browser to the page, too
-    answer = ask(app, "GET", "/", params={"token": "of-an-earlier-start", "go": "room/annotate"}, cookies={NAME: SECRET})
+    answer = ask(
+        app, "GET", "/", params={"token": "of-an-earlier-start", "go": "room/annotate"}, cookies={NAME: SECRET}
+    )
     assert "url=/#/room/annotate" in answer.text
 
 

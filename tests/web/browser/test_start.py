@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -296,8 +297,18 @@ def test_virtual_cameras_are_added_and_share_a_label(start: Page, shop: Shop) ->
     # what changes in the other camera is shown at once
     project.labels.delete(2, uid, WriteContext(project.frames.get(2).revision, "maria", Source.MANUAL))
     expect(tag).to_have_count(0)
-    label_object(project, 2, -10.0)
+    uid = label_object(project, 2, -10.0)
     expect(tag).to_have_count(1)
+    # all cameras of the moment are beside the image, and the selected box stays selected in each
+    selected = start.locator('[data-testid="frame-box"][aria-current="true"]')
+    start.get_by_test_id("frame-box").click()
+    expect(selected).to_have_attribute("data-uid", uid)
+    cameras = start.get_by_test_id("camera-strip").get_by_role("button")
+    expect(cameras).to_have_count(4)
+    cameras.first.click()
+    expect(start).to_have_url(re.compile("/annotate/2$"))
+    expect(selected).to_have_attribute("data-uid", uid)
+    expect(cameras.first).to_have_attribute("aria-current", "true")
     start.goto("/#/rig/alignment/3")
     expect(start.get_by_test_id("correction-effect")).to_contain_text("no calibration to correct")
     expect(start.get_by_test_id("keep-correction")).to_be_hidden()

@@ -315,7 +315,9 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
 
   return {
     route(/** @type {Route} */ { frame, query }) {
-      const [uid, track] = [query.get("uid"), trackIn(query)];
+      // the boxes of a moment are the same in all its cameras
+      const isSameMoment = Object.values(app.state.frame?.frame.cameras ?? {}).includes(frame ?? -1);
+      const [uid, track] = [query.get("uid") ?? (isSameMoment ? desk.uid : null), trackIn(query)];
       if (frame === null) void opening.begin().catch(app.toast);
       else if (frame !== opening.opened && frame !== opening.broken)
         void opening.open(frame, uid, track).then((isOpen) => {

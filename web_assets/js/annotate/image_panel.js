@@ -6,8 +6,9 @@
 import { valuesText } from "../attributes.js";
 import { cameraOf } from "../camera.js";
 import { classColor, trackColor } from "../colors.js";
-import { h } from "../dom.js";
+import { button, h, patch } from "../dom.js";
 import { createEditor } from "../editor2d/editor.js";
+import { makeHash } from "../router.js";
 import { imageOverlay } from "./drawing.js";
 
 /** A shorter drag draws no box, CSS pixels. */
@@ -32,6 +33,13 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
   const byTrack = h("input", { type: "checkbox", onchange: colorAnew, "data-testid": "color-by-track" });
   byTrack.checked = localStorage.getItem("color-by-track") === "true";
   const body = h("div", { class: "view-body", "data-testid": "image-editor" });
+  const cameras = h("div", {
+    class: "cameras",
+    role: "toolbar",
+    "aria-label": "Cameras of this moment",
+    hidden: true,
+    "data-testid": "camera-strip",
+  });
   host.append(
     h(
       "header",
@@ -42,6 +50,7 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
       h("label", { class: "row" }, withRejected, "rejected"),
     ),
     body,
+    cameras,
   );
   /**
    * The class of the box that was asked for; null: none.
@@ -105,6 +114,7 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
       hint.textContent = "";
       return;
     }
+    showCameras(frame);
     const { url, width, height } = frame.image;
     const camera = cameraOf(frame.image);
     void editor.setPicture(url, width, height);
@@ -135,6 +145,31 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     editor.setBoxes(
       list.map(({ box }) => box),
       index,
+    );
+  }
+
+  /** Small pictures of all cameras of the moment, if it has several. */
+  function showCameras(/** @type {FrameState} */ { frame }) {
+    const { name: project, recordings } = app.state.project;
+    const all = Object.entries(frame.cameras);
+    cameras.hidden = all.length < 2;
+    patch(
+      cameras,
+      all.map(([recording, id]) => {
+        const name =
+          recordings
+            .find((one) => one.id === Number(recording))
+            ?.name.split("@")
+            .at(-1) ?? "";
+        return button(
+          [
+            h("img", { src: `${app.path("frames", id)}/image.jpg?width=160`, alt: "", loading: "lazy" }),
+            h("span", { class: "ellipsis" }, name),
+          ],
+          () => app.go(makeHash(project, "annotate", id)),
+          { class: "quiet", title: name, "aria-current": id === frame.id ? "true" : null, "data-key": id },
+        );
+      }),
     );
   }
 
