@@ -22,7 +22,7 @@ const DOUBLE_MS = 1000;
  * What is sent and drawn without a graphics card: at most this number of points, at rest, and while the camera moves this
  * number until frames are measured; and the resolution, relative to the screen's (a setting of viser's page).
  */
-const SOFTWARE = { points: 150_000, moving: 60_000, pixels: 0.8 };
+const SOFTWARE = { points: 60_000, moving: 60_000, pixels: 0.8 };
 const NO_WEBGL =
   "This browser cannot draw in 3D (no WebGL 2). The image and the views work without it. " +
   "For the 3D view, turn on hardware acceleration or use another browser.";
