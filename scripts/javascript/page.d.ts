@@ -65,7 +65,7 @@ type Direction = "next" | "previous";
 
 /** Places (indices of frames) that the timeline shows. */
 type Stretch = { first: number; count: number };
-type Lane = Api.LaneJson;
+type Lane = Api.Lane;
 /** First and last place, class, and 0 if its boxes are reviewed, else the level 1 to 5 of their doubt. */
 type Span = Lane["spans"][number];
 /** The frames and tracks of a recording; `places`: the place of each frame by its id. */

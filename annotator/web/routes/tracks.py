@@ -11,7 +11,7 @@ from fastapi.responses import Response, StreamingResponse
 from pydantic import Field
 
 from annotator.project import StoredFrame
-from annotator.project.lanes import read_lanes
+from annotator.project.lanes import Lane, read_lanes
 from annotator.project.overview import read_page
 from annotator.types import DetectorKind, Label, ReviewState
 from annotator.types.errors import AnnotatorError, DetectionError
@@ -50,13 +50,6 @@ class LabelIn(FrameChange):
     uid: Uid
 
 
-class LaneJson(Schema):
-    """A track (null: boxes without one) and its spans as in `annotator.project.lanes`."""
-
-    track_id: int | None
-    spans: tuple[tuple[int, int, str | None, int], ...]
-
-
 class LanesJson(Schema):
     """The timeline of a recording: the ids of its frames in order, and a lane for each track.
 
@@ -65,7 +58,7 @@ class LanesJson(Schema):
 
     recording: int
     frames: tuple[int, ...]
-    lanes: list[LaneJson]
+    lanes: tuple[Lane, ...]
     pictures: str
 
 
@@ -117,7 +110,7 @@ def tracks(at: AtProject, recording_id: RowId) -> Response:
     found = LanesJson.model_construct(
         recording=recording_id,
         frames=lanes.frames,
-        lanes=[LaneJson.of(lane) for lane in lanes.lanes],
+        lanes=lanes.lanes,
         pictures=picture_version(at.project, recording_id, stored.name, "", stored.adjusted),
     )
     return ModelResponse(found)
