@@ -33,7 +33,9 @@ ROOT = Path(__file__).resolve().parents[3]
 STEM = f"rcv_annotator-{__version__}"
 # References to other files of the page in HTML, CSS and JavaScript.
 NAMED = re.compile(
-    r"""(?:src|href)="(/[^"#]+)" | url\(["']?([^"')$]+)["')] | ["'](/assets/[^"']+)["'] | ["'](\.{1,2}/[\w./-]+\.js)["']""",
+    r"""
+    (?:src|href)="(/[^"#]+)" | url\(["']?([^"')$]+)["')] | ["'](/assets/[^"']+)["'] | ["'](\.{1,2}/[\w./-]+\.js)["']
+    """,
     re.VERBOSE,
 )
 
