@@ -106,7 +106,7 @@ export const KEYS = [
     // the 2D editor handles these itself
     ["editor-zoom", [], "Zoom about the pointer", ["Wheel"]],
     ["editor-force", [], "Draw a new box over a selected one", ["Shift", "drag"]],
-    ["editor-pan", [], "Pan (or the middle button, or two fingers)", ["Space", "drag"]],
+    ["editor-pan", [], "Pan (also with two fingers)", ["Middle button", "drag"]],
   ]),
 ];
 

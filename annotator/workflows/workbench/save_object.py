@@ -199,8 +199,10 @@ def _label_change(
     is_same = same_box(present.label.box, box) and (is_kept or present.label.box_kind is kind)
     if is_same and (present.label.label, present.image_box) == (drawn.image_box.label, drawn.image_box):
         return None
+    # the first boxes on the views of a proposal are no review of its 3D box
+    is_open = is_kept and is_same and present.label.state is ReviewState.PROPOSED and present.label.label == name
     return LabelChanged(
-        state=ReviewState.EDITED,
+        state=None if is_open else ReviewState.EDITED,
         uid=uid,
         box=BoxRecord.of(box),
         suggestion=None if is_kept else suggestion,

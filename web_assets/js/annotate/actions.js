@@ -98,7 +98,7 @@ export function createActions(host, act) {
       copy.disabled = !frame || frame.frame.previous === null || busy || frame.frame.finalised;
       follow.disabled = !frame || frame.frame.next === null || !(isReviewed || label?.isNew) || busy;
       follow.title =
-        "Follow this reviewed or new box through the recording (V; back: Shift V), or all of this frame (L, Shift L)";
+        "Follow this reviewed or new box through the recording (V; back: Shift V), or all of this frame (J, Shift J)";
       draw.disabled = !frame || busy || frame.frame.finalised;
       draw.setAttribute("aria-pressed", String(isDrawing));
       finalise.disabled = !frame || busy;

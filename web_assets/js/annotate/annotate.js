@@ -326,9 +326,20 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       else if (uid) desk.select(uid);
       else if (track !== null) opening.pick(null, track);
     },
-    unsaved: () =>
-      teach.unsaved ?? (desk.unsaved && { ...desk.unsaved, retry: desk.retryAll, discard: desk.discardAll }),
+    unsaved() {
+      const own = desk.unsaved && { ...desk.unsaved, retry: desk.retryAll, discard: desk.discardAll };
+      const all = [teach.unsaved, own].filter((one) => one !== null);
+      if (all.length === 0) return null;
+      return {
+        text: all.map(({ text }) => text).join(" "),
+        retry: () => Promise.all(all.map(({ retry }) => retry())),
+        discard() {
+          for (const { discard } of all) discard();
+        },
+      };
+    },
     async flush() {
+      image.editor.flush();
       await teach.flush();
       await desk.flush();
       if (app.state.frame)
@@ -468,8 +479,8 @@ export function bindings({
     "class-search": once(async () => commands.setClass(await askClass(app))),
     attribute: (/** @type {KeyboardEvent} */ _, /** @type {string} */ key) => attributes.press(key),
     cancel: commands.cancel,
-    finalise: once(commands.finalise),
-    "copy-previous": once(commands.copy),
+    finalise: once(() => commands.whenCalm(commands.finalise)),
+    "copy-previous": once(() => commands.whenCalm(commands.copy)),
     follow: once(() => commands.followOne("forward")),
     "follow-back": once(() => commands.followOne("backward")),
     "follow-all": once(() => commands.followAll("forward")),

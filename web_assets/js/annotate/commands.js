@@ -28,6 +28,8 @@ const LABEL_ELSEWHERE =
  * @param {HTMLElement} parts.root
  */
 export function createCommands(app, { desk, queue, opening, follow, image, ortho, teach, map, picker, root }) {
+  let isPlacing = false;
+
   function stepBox(/** @type {number} */ by) {
     const uids = desk.labels().map(({ uid }) => uid);
     if (uids.length === 0) return;
@@ -188,7 +190,9 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
 
   /** A box of the next class is placed where the top view was clicked. */
   async function placeAt(/** @type {Vector} */ point) {
-    if (!canDraw()) return;
+    // not twice by a double click
+    if (!canDraw() || isPlacing) return;
+    isPlacing = true;
     const { id } = currentFrame(app).frame;
     try {
       /** @type {Api.FitOut} */
@@ -203,6 +207,8 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
       else app.toast(`${note ?? "Nothing was placed"}`, "warn");
     } catch (error) {
       app.toast(error);
+    } finally {
+      isPlacing = false;
     }
   }
 

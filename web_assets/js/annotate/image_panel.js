@@ -67,6 +67,7 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
   let isDragging = false;
   let isFitting = false;
   let hasLoaded = false;
+  let shownFrame = -1;
   const editor = createEditor(body, {
     label: "Camera image with the frame's boxes",
     color: ({ label }) => classColor(app.state.project, label),
@@ -77,7 +78,7 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     selectFirst: true,
     newLabel: () => chosen ?? wanted ?? nextClass(),
     onDrag: ({ length }, index) => onDrag(length > items.length && index >= items.length),
-    onOverlay: (uid) => desk.select(uid),
+    onOverlay: (uid) => (uid === "whole" ? teach().accept() : desk.select(uid)),
     onEnter: () => false,
     onSelect(index) {
       if (index < 0) teach().release();
@@ -137,6 +138,11 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
       );
     }
     editor.setOverlays([...overlays, ...teach().overlays()]);
+    if (shownFrame !== frame.frame.id) {
+      shownFrame = frame.frame.id;
+      // ends a drag of the frame that was left
+      editor.setBoxes([]);
+    }
     if (editor.isDragging) return;
     const { list, selected: index } = teach().shown();
     items = list.map(({ item }) => item);
@@ -233,6 +239,7 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     },
     /** Ends drawing; false if nothing was to be drawn. */
     cancel() {
+      if (editor.isDragging && editor.cancel()) return true;
       if (wanted === null || isFitting) return false;
       draw(null);
       return true;

@@ -226,7 +226,7 @@ export function createMap(host, app, desk, { onPlace, onClose }) {
     const handle = box && arrowOf(box).handle;
     const isTurn = handle !== null && Math.hypot(at[0] - handle[0], at[1] - handle[1]) < 10;
     const kind = isTurn ? "turn" : box && isInHull(outlineOf(box), at) ? "move" : "pan";
-    press = { kind, at, box: box && copyBox(box), isDrag: false };
+    press = { kind, at, box: box && copyBox(box), isDrag: event.button === 1 };
   }
 
   function onMove(/** @type {PointerEvent} */ event) {
@@ -280,10 +280,14 @@ export function createMap(host, app, desk, { onPlace, onClose }) {
   function cancel() {
     if (!press?.isDrag || press.kind === "pan") return false;
     press = null;
-    desk.revert();
+    if (desk.hasDraft) desk.revert();
     return true;
   }
 
+  // another box is selected: the drag was of the one before
+  desk.onLeave(() => {
+    if (!cancel() && press?.kind !== "pan") press = null;
+  });
   root.addEventListener("pointerdown", onDown);
   root.addEventListener("pointermove", onMove);
   root.addEventListener("pointerup", onUp);

@@ -255,7 +255,7 @@ function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
       editor.flush();
       if (editor.isDragging) {
         editor.cancel();
-        desk.revert();
+        if (desk.hasDraft) desk.revert();
       }
       end();
     },
@@ -269,7 +269,7 @@ function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
       if (editor.isDragging) {
         // the drag began on the previous picture, which has other pixels
         editor.cancel();
-        desk.revert();
+        if (desk.hasDraft) desk.revert();
         end();
       }
       view = fresh;

@@ -79,7 +79,9 @@ export function createWholeBoxes(app, work, { saver, onOffered }) {
     const { draft } = work;
     const whole = offered();
     const label = draft && seenLabel(draft);
-    if (!draft?.whole || !whole || !label || performance.now() - draft.whole.since < SEEN_MS) return false;
+    if (!draft?.whole || !whole || !label) return false;
+    // not long enough on the screen: the key was meant for something else
+    if (performance.now() - draft.whole.since < SEEN_MS) return true;
     app.effort.action();
     draft.whole = null;
     const { uid, label: name, track_id } = label;

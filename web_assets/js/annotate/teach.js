@@ -83,6 +83,9 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
     onStored(item) {
       // the object replaces the box that was found for it
       const { found } = item;
+      // what was found or proposed may have got another class since
+      const own = work.items.includes(item) ? null : desk.stored(found ?? item.uid ?? "");
+      if (own) relabelItem(item, naming({ [item.image_box.label]: desk.seen(own).label }));
       item.found = null;
       if (found) desk.drop(found);
     },
@@ -163,7 +166,7 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
     if (item && item === work.draft?.item) return;
     work.selected = null;
     if (item) objects.open(item);
-    else if (!work.draft || work.draft.item.uid || work.draft.item.found || !isOn) close();
+    else if (!work.draft || work.draft.item.uid || work.draft.item.found || desk.uid !== null || !isOn) close();
   }
 
   /**
@@ -286,7 +289,8 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
    * box is a proposal that nothing was drawn for: that one is accepted as it is.
    */
   function accept() {
-    return (isOwn() && objects.acceptAll()) || whole.confirm();
+    // while boxes are being looked for, the key waits for them
+    return (isOwn() && (Boolean(work.draft?.isLoading) || objects.acceptAll())) || whole.confirm();
   }
 
   /** Something was drawn for the current object, or it has no 3D box. */
@@ -375,7 +379,10 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
     /** Deletes the selected box of a focused view, or the object that has no 3D box; false if there is neither. */
     removeDrawn() {
       const view = views.editors.find((editor) => editor.root.contains(document.activeElement));
-      if (view) return view.deleteSelected();
+      if (view) {
+        view.deleteSelected();
+        return true;
+      }
       const item = work.draft?.item;
       if (!isOn || !item || item.uid || item.found) return false;
       objects.remove(item);
@@ -386,9 +393,11 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
       work.selected = null;
     },
     remove: objects.remove,
-    /** Gives the current object another class; false if there is none, or if it has its own box. */
+    /** Gives the current object another class with all its boxes; false if none is drawn. */
     setClass(/** @type {string} */ name) {
-      if (!isOn || !work.draft || work.draft.item.uid || work.draft.item.found) return false;
+      const item = work.draft?.item;
+      if (!isOn || !item || item.found || (item.uid && !work.items.includes(item))) return false;
+      if (item.uid) work.selected = item;
       objects.pickClass(name);
       return true;
     },
