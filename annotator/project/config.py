@@ -261,7 +261,7 @@ def removed_projects(root: Path) -> list[Removed]:
             name, _, stamp = path.name.rpartition("-")
             with suppress(ValueError):  # not from here
                 at = datetime.strptime(stamp, REMOVED_AT).replace(tzinfo=UTC)
-                if name and path.is_dir() and not path.is_symlink():
+                if name and path.is_dir():
                     found.append(Removed(path, name, at))
     return sorted(found, key=lambda each: each.at, reverse=True)
 

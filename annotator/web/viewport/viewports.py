@@ -65,7 +65,7 @@ class Viewport(ViserPage):
         self._send = send
         self._lock = threading.Lock()
         self._dragged_s: float | None = None
-        self._grabbed: tuple[OrientedBox, int, np.ndarray] | None = None
+        self._grabbed: tuple[str | None, OrientedBox, int, np.ndarray] | None = None
         self._scene = Scene(self._server, self._gizmo_moved, self._face_dragged)
         self._server.scene.on_click()(self._clicked)
 
@@ -91,16 +91,20 @@ class Viewport(ViserPage):
             box = self._scene.gizmo_box()
             if box is not None:
                 self._dragged(event.phase, box)
+            if event.phase == "end":
+                self._grabbed = None
 
     async def _face_dragged(self, event: viser.SceneNodeDragEvent[viser.BatchedMeshHandle]) -> None:
         with _logged("a drag of a face"):
             selected = self._scene.content.selected_box
             if event.phase == "start" and selected is not None and event.instance_index is not None:
-                self._grabbed = selected.box, event.instance_index, np.array(event.start_position)
-            if self._grabbed is None or selected is None:
+                self._grabbed = selected.uid, selected.box, event.instance_index, np.array(event.start_position)
+            # another box may have been selected meanwhile
+            if self._grabbed is None or selected is None or selected.uid != self._grabbed[0]:
+                self._grabbed = self._dragged_s = None
                 return
             eye_m = np.array(event.client.camera.position)
-            before, face, at_m = self._grabbed
+            _, before, face, at_m = self._grabbed
             box = moved_face(before, face, eye_m, at_m, np.array(event.end_position))
             with self._lock:
                 self._scene.place_selected(box)

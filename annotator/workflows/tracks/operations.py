@@ -108,6 +108,8 @@ class Track:
         self.project, self.recording_id, self.track_id, self.fit = project, recording_id, track_id, fit
         self.name = f"track {track_id} of {recording.name}"
         self.frames = {frame.id: frame for frame in project.frames.of([recording_id])}
+        if not self.frames:
+            raise NotFoundError(f"{recording.name} has no frames in the project")
         self.is_whole = span.first is None and span.last is None
         places = {id: place for place, id in enumerate(self.frames)}
         for end in (span.first, span.last):
@@ -134,7 +136,9 @@ class Track:
             elif not events:
                 yield Step(frame, (), COVERED)
             else:
-                yield Step(frame, events, Count(changed=1, reviewed=stored.label.state in REVIEWED))
+                gone = sum(isinstance(each, LabelDeleted) and each.uid != stored.label.uid for each in events)
+                reviewed = stored.label.state in REVIEWED
+                yield Step(frame, events, Count(changed=1, deleted=gone, reviewed=reviewed))
 
 
 Change = Callable[[StoredFrame, StoredLabel], Sequence[Payload] | None]

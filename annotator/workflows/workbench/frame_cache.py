@@ -231,6 +231,7 @@ class FrameCache:
         """Drops all frames of a project, e.g. after its recordings have changed."""
         with self._lock:
             self._sources.pop(project, None)
+            self._small = Memo(MOST_SMALL)
             self._open_by = {who: key for who, key in self._open_by.items() if key[0] is not project}
             for key in [key for key in self._frames if key[0] is project]:
                 del self._frames[key]

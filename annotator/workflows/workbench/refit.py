@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
+from annotator.geometry.ground import ground_axes
 from annotator.geometry.oriented_box import aligned_box, box_corners, canonical_box
 from annotator.geometry.outline import NEAR_M, box_on_image, visible_edges
 from annotator.geometry.projection import in_frustum, project, thin, undistort_px
@@ -62,6 +63,8 @@ KNOWN_MARGIN = 0.03
 KNOWN_DOUBT = 0.2
 # A box is placed by its size alone in so many steps: each corrects its distance and its direction by what it covers.
 PLACING_STEPS = 12
+# Farther away, metres, or farther aside than so many times the distance, nothing is placed.
+FURTHEST_M, MOST_ASIDE = 1e4, 50.0
 # Expected error of the faces of a box that was placed by the typical size of its class, share of its mean side.
 PLACED_DOUBT = 0.1
 
@@ -160,6 +163,8 @@ def place_box(opened: OpenFrame, image_box: Box2D, config: RcvConfig) -> FoundBo
     middle_px, depth_m = drawn_px.mean(axis=0), camera.fy * size_m[2] / height_px
     for _ in range(PLACING_STEPS):
         (xy,) = undistort_px(camera, middle_px[None])
+        if not (np.isfinite(xy).all() and NEAR_M < depth_m < FURTHEST_M and np.abs(xy).max() < MOST_ASIDE):
+            return not_found(why, too_few_points=True)
         box = OrientedBox.from_parts(np.array([*xy, 1.0]) * depth_m, rotation, size_m)
         seen_px = project(camera, box_corners(box))
         low, high = seen_px.min(axis=0), seen_px.max(axis=0)
@@ -201,7 +206,7 @@ def place_on_ground(
     if stands.sum() >= LEAST_STANDING:
         ahead = np.linalg.svd(level[stands] - level[stands].mean(axis=0), full_matrices=False)[2][0]
         ahead = ahead - (ahead @ up) * up
-    heading = unit(ahead if np.linalg.norm(ahead) > 0 else np.cross(up, np.array([1.0, 0.0, 0.0])))
+    heading = unit(ahead) if np.linalg.norm(ahead) > 1e-6 else ground_axes(up)[0]
     rotation = np.column_stack([heading, np.cross(up, heading), up])
     center_m = point_m - (point_m @ up) * up + (ground_m + size_m[2] / 2) * up
     box = OrientedBox.from_parts(center_m, rotation, size_m)
