@@ -372,6 +372,8 @@ def test_a_reviewed_box_is_followed_and_the_page_goes_to_the_first_new_box(
     desk.press("v")
     following_gate.release(4)
     has_boxes(page, 5)
+    # keys wait until it is there
+    expect(page.get_by_test_id("frame-position")).to_have_text("2 / 5")
     desk.settled()
     desk.press("s")
     tiles = page.get_by_test_id("sheet-box")
