@@ -20,7 +20,7 @@ from annotator.project.progress.reviewed import draft_id
 from annotator.rcv.known_objects import Span
 from annotator.rcv.teach import TaughtObject
 from annotator.recordings import open_recording
-from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView, ReviewState, Source
+from annotator.types import Box2D, BoxKind, Frame, OrientedBox, Proposal, PseudoView, Quality, ReviewState, Source
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.simulate import _draw, image_box_of, visible_objects
@@ -334,3 +334,16 @@ def test_invalid_saves_are_errors_and_change_nothing(desk: Desk) -> None:
     with pytest.raises(StaleRevisionError, match="is at revision 0, but the change was made on revision 3"):
         desk.save([image_box], None, revision=3)
     assert desk.revision == 0
+
+
+def test_the_first_boxes_on_the_views_of_a_proposal_are_no_review_of_it(desk: Desk) -> None:
+    true, image_box, four = desk.objects[0].box, desk.image_box(), desk.four()
+    proposal = Proposal("person", 0.8, true, image_box, (), Quality(0.1, 0.9, 0.05, 0.8, 0.2))
+    context = WriteContext(desk.revision, "rcv", Source.AUTO)
+    (uid,) = desk.project.proposals.replace(desk.frame_id, [proposal], context).uids
+    assert uid is not None
+    states = []
+    for boxes in (four[:1], four):
+        assert desk.save([image_box], desk.object(image_box, boxes, uid)) == uid
+        states.append(desk.project.labels.get(uid).label.state)
+    assert states == [ReviewState.PROPOSED, ReviewState.EDITED]

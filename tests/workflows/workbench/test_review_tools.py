@@ -335,6 +335,8 @@ def test_an_object_without_points_is_placed_by_its_size(opened: OpenFrame) -> No
         np.testing.assert_allclose(found.box.center_m, true.center_m, atol=0.5)
         np.testing.assert_allclose(found.box.size_m, true.size_m)
         assert abs(found.box.rotation[:, 0] @ true.rotation[:, 0]) > 0.99
+    flat = place_box(opened, replace(drawn, y_max=drawn.y_min + 1e-6), config)
+    assert flat.box is None and flat.note is not None, "it would be far beyond anything that is measured"
     unknown = place_box(opened, replace(drawn, label="unheard-of"), config)
     assert unknown.box is None and "how large a unheard-of is" in (unknown.note or "")
 
@@ -357,5 +359,7 @@ def test_a_box_is_placed_on_the_ground_and_turned_like_what_stands_there(opened:
     empty = replace(frame, cloud=PointCloud(points[: len(ground)]))
     alone = place_on_ground(OpenFrame(empty), point_m, "zorb", config, None).box
     assert alone is not None and abs(alone.rotation[:, 0] @ (point_m / np.linalg.norm(point_m))) > 0.999
+    below_the_camera = place_on_ground(OpenFrame(empty), np.array([0.0, 5.0, 0.0]), "zorb", config, None).box
+    assert below_the_camera is not None and abs(below_the_camera.rotation[2, 0]) == 1, "it looks ahead"
     unknown = place_on_ground(OpenFrame(frame), point_m, "unheard-of", config, None)
     assert unknown.box is None and "draw one on the image first" in (unknown.note or "")

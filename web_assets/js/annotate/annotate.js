@@ -36,6 +36,12 @@ const MAP_KEPT = "top-view";
 /** A picture with a greater ratio of width to height gets a wider panel. */
 const WIDE_ASPECT = 1.9;
 
+/** For a key that acts on one box only: while it is held down, it does not act on the following ones. */
+const once =
+  (/** @type {(key: string) => unknown} */ fn) => (/** @type {KeyboardEvent} */ event, /** @type {string} */ key) => {
+    if (!event.repeat) fn(key);
+  };
+
 export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
   root.classList.add("fixed");
   if (app.state.project.frames === 0) {
@@ -232,6 +238,57 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     void ortho.show();
   }
 
+  /** What the keys do. */
+  function bindings() {
+    return {
+      accept: once(() => commands.decide("accept")),
+      "accept-all": once(() => commands.whenCalm(commands.acceptAll)),
+      reject: once(() => commands.decide("reject")),
+      delete: once(() => commands.decide("delete")),
+      refit: once(commands.refit),
+      turn: once(() => commands.turn(2)),
+      "turn-quarter": once(() => commands.turn(1)),
+      class: (/** @type {KeyboardEvent} */ _, /** @type {string} */ key) =>
+        commands.setClass(app.state.project.classes[Number(key) - 1]),
+      "class-search": once(async () => commands.setClass(await askClass(app))),
+      attribute: (/** @type {KeyboardEvent} */ _, /** @type {string} */ key) => attributes.press(key),
+      cancel: commands.cancel,
+      finalise: once(() => commands.whenCalm(commands.finalise)),
+      "copy-previous": once(() => commands.whenCalm(commands.copy)),
+      follow: once(() => commands.followOne("forward")),
+      "follow-back": once(() => commands.followOne("backward")),
+      "follow-all": once(() => commands.followAll("forward")),
+      "follow-all-back": once(() => commands.followAll("backward")),
+      "copy-next": once(() => commands.whenCalm(() => tracks.copyToNext())),
+      carry: once(() => commands.whenCalm(() => tracks.carry())),
+      ...Object.fromEntries(
+        Object.entries(OPERATIONS)
+          .filter(([, { key }]) => key)
+          .map(([id]) => [`track-${id}`, once((key) => commands.whenCalm(() => tracks.operate(id, key)))]),
+      ),
+      sheet: once(() => commands.whenCalm(sheet.show)),
+      "next-of-track": once(() => commands.whenCalm(() => tracks.step(1))),
+      "previous-of-track": once(() => commands.whenCalm(() => tracks.step(-1))),
+      "next-box": () => commands.stepBox(1),
+      "previous-box": () => commands.stepBox(-1),
+      "next-frame": () => opening.step("next"),
+      "previous-frame": () => opening.step("previous"),
+      "draw-box": once(commands.draw),
+      "gizmo-translate": () => setGizmo("translate"),
+      "gizmo-rotate": () => setGizmo("rotate"),
+      "gizmo-off": () => setGizmo("off"),
+      fit: () => {
+        image.fit();
+        map.fit();
+        ortho.fit();
+        teach.fit();
+      },
+      "top-view": once(() => turnMap(!map.isShown)),
+      teach: once(() => teach.turn(!teach.isOn)),
+      "next-whole-box": once(() => teach.nextWhole()),
+    };
+  }
+
   const stop = [
     desk.on((what) => {
       if (what === "saving") {
@@ -282,22 +339,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       queue.reloadSoon();
       desk.refresh().catch(app.toast);
     }),
-    app.keys.register(
-      bindings({
-        app,
-        commands,
-        opening,
-        tracks,
-        sheet,
-        image,
-        ortho,
-        teach,
-        map,
-        turnMap,
-        setGizmo,
-        attributes,
-      }),
-    ),
+    app.keys.register(bindings()),
   ];
 
   /** Selects the label that an undo or redo has changed. */
@@ -427,90 +469,4 @@ export function emptyProject(/** @type {string} */ name) {
     h("p", {}, "Add one on the start page; its frames are then shown here."),
     h("a", { class: "button", href: "#/" }, "Go to the start page"),
   );
-}
-
-// -- its keys
-
-/**
- * @param {object} parts
- * @param {ModeApp} parts.app
- * @param {ReturnType<typeof import("./commands.js").createCommands>} parts.commands
- * @param {Opening} parts.opening
- * @param {ReturnType<typeof import("./tracks.js").createTracks>} parts.tracks
- * @param {ReturnType<typeof import("./sheet.js").createSheet>} parts.sheet
- * @param {ReturnType<typeof import("./image_panel.js").createImagePanel>} parts.image
- * @param {ReturnType<typeof import("./ortho_views.js").createOrthoViews>} parts.ortho
- * @param {Teach} parts.teach
- * @param {ReturnType<typeof import("./map.js").createMap>} parts.map
- * @param {(on: boolean) => void} parts.turnMap
- * @param {(mode: Api.Gizmo) => void} parts.setGizmo
- * @param {ReturnType<typeof import("../attributes.js").createAttributes>} parts.attributes
- */
-export function bindings({
-  app,
-  commands,
-  opening,
-  tracks,
-  sheet,
-  image,
-  ortho,
-  teach,
-  map,
-  turnMap,
-  setGizmo,
-  attributes,
-}) {
-  // a key that is held down acts on one box only, not on the following ones
-  const once =
-    (/** @type {(key: string) => unknown} */ fn) =>
-    (/** @type {KeyboardEvent} */ event, /** @type {string} */ key) => {
-      if (!event.repeat) fn(key);
-    };
-  return {
-    accept: once(() => commands.decide("accept")),
-    "accept-all": once(() => commands.whenCalm(commands.acceptAll)),
-    reject: once(() => commands.decide("reject")),
-    delete: once(() => commands.decide("delete")),
-    refit: once(commands.refit),
-    turn: once(() => commands.turn(2)),
-    "turn-quarter": once(() => commands.turn(1)),
-    class: (/** @type {KeyboardEvent} */ _, /** @type {string} */ key) =>
-      commands.setClass(app.state.project.classes[Number(key) - 1]),
-    "class-search": once(async () => commands.setClass(await askClass(app))),
-    attribute: (/** @type {KeyboardEvent} */ _, /** @type {string} */ key) => attributes.press(key),
-    cancel: commands.cancel,
-    finalise: once(() => commands.whenCalm(commands.finalise)),
-    "copy-previous": once(() => commands.whenCalm(commands.copy)),
-    follow: once(() => commands.followOne("forward")),
-    "follow-back": once(() => commands.followOne("backward")),
-    "follow-all": once(() => commands.followAll("forward")),
-    "follow-all-back": once(() => commands.followAll("backward")),
-    "copy-next": once(() => commands.whenCalm(() => tracks.copyToNext())),
-    carry: once(() => commands.whenCalm(() => tracks.carry())),
-    ...Object.fromEntries(
-      Object.entries(OPERATIONS)
-        .filter(([, { key }]) => key)
-        .map(([id]) => [`track-${id}`, once((key) => commands.whenCalm(() => tracks.operate(id, key)))]),
-    ),
-    sheet: once(() => commands.whenCalm(sheet.show)),
-    "next-of-track": once(() => commands.whenCalm(() => tracks.step(1))),
-    "previous-of-track": once(() => commands.whenCalm(() => tracks.step(-1))),
-    "next-box": () => commands.stepBox(1),
-    "previous-box": () => commands.stepBox(-1),
-    "next-frame": () => opening.step("next"),
-    "previous-frame": () => opening.step("previous"),
-    "draw-box": once(commands.draw),
-    "gizmo-translate": () => setGizmo("translate"),
-    "gizmo-rotate": () => setGizmo("rotate"),
-    "gizmo-off": () => setGizmo("off"),
-    fit: () => {
-      image.fit();
-      map.fit();
-      ortho.fit();
-      teach.fit();
-    },
-    "top-view": once(() => turnMap(!map.isShown)),
-    teach: once(() => teach.turn(!teach.isOn)),
-    "next-whole-box": once(() => teach.nextWhole()),
-  };
 }

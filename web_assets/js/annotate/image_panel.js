@@ -9,6 +9,7 @@ import { classColor, trackColor } from "../colors.js";
 import { button, h, patch } from "../dom.js";
 import { createEditor } from "../editor2d/editor.js";
 import { makeHash } from "../router.js";
+import { createLoader } from "../timeline/loader.js";
 import { imageOverlay } from "./drawing.js";
 
 /** A shorter drag draws no box, CSS pixels. */
@@ -98,6 +99,8 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
   let dashed = 0;
   const isDashed = (/** @type {number} */ index) => index >= items.length - dashed && index < items.length;
 
+  const loader = createLoader(() => show());
+
   function colorAnew() {
     localStorage.setItem("color-by-track", String(byTrack.checked));
     show();
@@ -155,10 +158,15 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
   }
 
   /** Small pictures of all cameras of the moment, if it has several. */
-  function showCameras(/** @type {FrameState} */ { frame }) {
+  function showCameras(/** @type {FrameState} */ { frame, image }) {
     const { name: project, recordings } = app.state.project;
     const all = Object.entries(frame.cameras);
     cameras.hidden = all.length < 2;
+    if (cameras.hidden) return;
+    const version = new URLSearchParams(image.url.split("?")[1]).get("v") ?? "";
+    const pictureOf = (/** @type {number} */ id) => `${app.path("frames", id)}/image.jpg?width=160&v=${version}`;
+    if (shownFrame !== frame.id) loader.rest();
+    loader.want(all.map(([, id]) => pictureOf(id)));
     patch(
       cameras,
       all.map(([recording, id]) => {
@@ -167,11 +175,10 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
             .find((one) => one.id === Number(recording))
             ?.name.split("@")
             .at(-1) ?? "";
+        const picture = h("span", { class: "picture" });
+        if (loader.has(pictureOf(id))) picture.style.backgroundImage = `url("${pictureOf(id)}")`;
         return button(
-          [
-            h("img", { src: `${app.path("frames", id)}/image.jpg?width=160`, alt: "", loading: "lazy" }),
-            h("span", { class: "ellipsis" }, name),
-          ],
+          [picture, h("span", { class: "ellipsis" }, name)],
           () => app.go(makeHash(project, "annotate", id)),
           { class: "quiet", title: name, "aria-current": id === frame.id ? "true" : null, "data-key": id },
         );
