@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from browser_page import Desk
+from live_server import PATIENCE_S
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import NewLabel, WriteContext
@@ -426,7 +427,10 @@ def test_boxes_are_followed_backward_stopped_or_lost_and_a_run_is_forgotten_with
     following_gate.release(3)
     expect(page.get_by_test_id("frame-position")).to_have_text("4 / 5")
     expect(page.get_by_test_id("followed")).to_have_count(3)
+    (running,) = desk.live.context.follow_runs._runs[desk.project].values()
     page.get_by_test_id("follow-stop").click()
+    # the run goes on only when the server knows that it is to stop
+    assert running.stop.wait(PATIENCE_S)
     following_gate.release(3)
     expect(page.get_by_test_id("follow-title")).to_have_text("Stopped backward with the project's detector")
     # none of them has come to the first frame
