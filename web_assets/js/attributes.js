@@ -139,9 +139,8 @@ export function createAttributes(host, app, target) {
     }
     fields.set(name, input);
     return h(
-      "label",
-      { class: "number-field" },
-      h("span", {}, name, required ? " *" : "", key ? " " : "", key ? h("kbd", {}, `Alt ${key.toUpperCase()}`) : ""),
+      "label.number-field",
+      h("span", name, required ? " *" : "", key ? " " : "", key ? h("kbd", `Alt ${key.toUpperCase()}`) : ""),
       input,
     );
   }
@@ -156,7 +155,7 @@ export function createAttributes(host, app, target) {
     if (signature !== shown) {
       shown = signature;
       fields.clear();
-      host.replaceChildren(h("legend", {}, "Attributes"), ...attributes.map(field));
+      host.replaceChildren(h("legend", "Attributes"), ...attributes.map(field));
       host.hidden = attributes.length === 0;
     }
     for (const attribute of attributes) {

@@ -131,30 +131,26 @@ export function duration(/** @type {number | null | undefined} */ hours) {
 export const percent = (/** @type {number | null | undefined} */ value) =>
   value === null || value === undefined ? "–" : `${number(100 * value, 0)} %`;
 export function section(/** @type {string} */ title, /** @type {HTMLElement} */ table) {
-  return h("section", { class: "panel" }, h("header", {}, h("h2", {}, title)), h("div", { class: "scroll-x" }, table));
+  return h("section.panel", h("header", h("h2", title)), h("div.scroll-x", table));
 }
 
 export function table(/** @type {string[]} */ heads, /** @type {string[][]} */ rows, /** @type {string} */ testid) {
   return h(
-    "table",
-    { class: "dense", "data-testid": testid },
+    "table.dense",
+    { "data-testid": testid },
     h(
       "thead",
-      {},
       h(
         "tr",
-        {},
         heads.map((text, i) => h("th", { scope: "col", class: i ? "number right" : "" }, text)),
       ),
     ),
     h(
       "tbody",
-      {},
       rows.map((cells) =>
         h(
           "tr",
-          {},
-          cells.map((cell, i) => (i ? h("td", { class: "number right" }, cell) : h("th", { scope: "row" }, cell))),
+          cells.map((cell, i) => (i ? h("td.number.right", cell) : h("th", { scope: "row" }, cell))),
         ),
       ),
     ),

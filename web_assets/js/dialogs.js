@@ -20,7 +20,7 @@ import { messageOf } from "./errors.js";
  */
 export function openDialog({ title, content, actions, submit, required = false, wide = false, testid = null }) {
   return new Promise((resolve) => {
-    const problem = h("p", { class: "error-box", role: "alert", hidden: true });
+    const problem = h("p.error-box", { role: "alert", hidden: true });
     const buttons = actions.map(({ label, value, kind }, index) => {
       const look = kind ?? (index === actions.length - 1 ? "primary" : "");
       // fields need not be filled for "Cancel"
@@ -37,10 +37,10 @@ export function openDialog({ title, content, actions, submit, required = false, 
     const form = h(
       "form",
       { method: "dialog" },
-      h("header", {}, h("h2", {}, title), close),
+      h("header", h("h2", title), close),
       // so that a table without fields can be scrolled by keys
-      h("div", { class: "content", tabindex: wide ? 0 : null }, content, problem),
-      h("footer", {}, buttons),
+      h("div.content", { tabindex: wide ? 0 : null }, content, problem),
+      h("footer", buttons),
     );
     dialog.append(form);
     /** @type {T | null} */
@@ -92,7 +92,7 @@ export async function confirm(
     { label: "Cancel", value: "no" },
     { label: action, value: "yes", kind },
   ];
-  return (await openDialog({ title, content: [h("p", {}, text)], actions })) === "yes";
+  return (await openDialog({ title, content: [h("p", text)], actions })) === "yes";
 }
 
 /**
@@ -106,7 +106,7 @@ export async function askUnsaved(unsaved, look) {
   const choice = await openDialog({
     title: "Not everything is saved",
     testid: "unsaved-dialog",
-    content: [h("p", {}, unsaved.text)],
+    content: [h("p", unsaved.text)],
     actions: [
       { label: "Discard and continue", value: "discard", kind: "danger" },
       { label: "Stay here", value: "stay", kind: "" },
@@ -131,18 +131,16 @@ export function keyTableDialog(/** @type {Keys} */ keys) {
   const sections = [...groups].map(([group, rows]) =>
     h(
       "section",
-      {},
-      h("h3", {}, group),
+      h("h3", group),
       h(
         "dl",
-        {},
-        rows.flatMap((row) => [h("dt", {}, keyCaps(row)), h("dd", {}, row.label)]),
+        rows.flatMap((row) => [h("dt", keyCaps(row)), h("dd", row.label)]),
       ),
     ),
   );
   return openDialog({
     title: "Keys",
-    content: [h("div", { class: "key-table" }, sections)],
+    content: [h("div.key-table", sections)],
     actions: [{ label: "Close", value: "close" }],
     wide: true,
     testid: "key-table",
@@ -153,6 +151,6 @@ function keyCaps(/** @type {import("./keys.js").KeyRow} */ row) {
   const names = row.shown ?? row.keys;
   return names.flatMap((name, index) => [
     index > 0 && !row.shown ? " or " : " ",
-    ...name.split(/(?<=.)\+/).map((part) => h("kbd", {}, part)),
+    ...name.split(/(?<=.)\+/).map((part) => h("kbd", part)),
   ]);
 }

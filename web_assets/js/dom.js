@@ -3,41 +3,45 @@
 const SVG = "http://www.w3.org/2000/svg";
 
 /**
- * An element: h("button", {class: "primary", onclick: fn, disabled: true}, "Save"). A function becomes a listener and
- * true an empty attribute; null and false are left out; `value` and `checked` are set as properties.
+ * An element: h("button.primary", { onclick: fn, disabled: true }, "Save"), h("p", "Text"). The tag has the classes behind
+ * it, and attributes can be left out. A function becomes a listener and true an empty attribute; null and false are left
+ * out; `value` and `checked` are set as properties.
  *
- * @template {keyof HTMLElementTagNameMap} K
- * @param {K} tag
- * @param {Attributes} [attributes]
+ * @template {string} T
+ * @param {T} tag
+ * @param {Attributes | Child | Child[]} [first] attributes, or the first child.
  * @param {...(Child | Child[])} children
- * @returns {HTMLElementTagNameMap[K]}
+ * @returns {HTMLElementTagNameMap[TagOf<T, HTMLElementTagNameMap>]}
  */
-export function h(tag, attributes, ...children) {
-  return fill(document.createElement(tag), attributes, children);
+export function h(tag, first, ...children) {
+  return fill(document.createElement(tag.split(".")[0]), tag, first, children);
 }
 
 /**
  * The same in SVG.
  *
- * @template {keyof SVGElementTagNameMap} K
- * @param {K} tag
- * @param {Attributes} [attributes]
+ * @template {string} T
+ * @param {T} tag
+ * @param {Attributes | Child | Child[]} [first]
  * @param {...(Child | Child[])} children
- * @returns {SVGElementTagNameMap[K]}
+ * @returns {SVGElementTagNameMap[TagOf<T, SVGElementTagNameMap>]}
  */
-export function s(tag, attributes, ...children) {
-  return fill(document.createElementNS(SVG, tag), attributes, children);
+export function s(tag, first, ...children) {
+  return fill(document.createElementNS(SVG, tag.split(".")[0]), tag, first, children);
 }
 
-/**
- * @template {Element} T
- * @param {T} element
- * @param {Attributes} [attributes]
- * @param {(Child | Child[])[]} [children]
- */
-function fill(element, attributes = {}, children = []) {
-  for (const [name, value] of Object.entries(attributes)) setAttribute(element, name, value);
-  element.append(...present(children));
+/** @returns {any} the element, of the type that its tag says. */
+function fill(
+  /** @type {Element} */ element,
+  /** @type {string} */ tag,
+  /** @type {Attributes | Child | Child[]} */ first,
+  /** @type {(Child | Child[])[]} */ children,
+) {
+  const names = tag.split(".").slice(1).join(" ");
+  if (names) element.setAttribute("class", names);
+  const isChild = first?.constructor !== Object;
+  if (!isChild) for (const [name, value] of Object.entries(first)) setAttribute(element, name, value);
+  element.append(...present(isChild ? [/** @type {Child | Child[]} */ (first), ...children] : children));
   return element;
 }
 

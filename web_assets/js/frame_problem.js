@@ -8,20 +8,15 @@ import { messageOf } from "./errors.js";
  * @param {{onRetry: () => void, onStep: (which: Direction) => void}} actions what the buttons do.
  */
 export function createFrameProblem(host, { onRetry, onStep }) {
-  const text = h("p", { class: "error-box" });
+  const text = h("p.error-box");
   const root = h(
-    "div",
-    { class: "frame-problem", role: "alert", hidden: true, "data-testid": "frame-problem" },
-    h("h3", {}, "This frame cannot be shown"),
+    "div.frame-problem",
+    { role: "alert", hidden: true, "data-testid": "frame-problem" },
+    h("h3", "This frame cannot be shown"),
     text,
+    h("p.help", "Its saved boxes are safe. Solve the problem and try again, or go on with another frame."),
     h(
-      "p",
-      { class: "help" },
-      "Its saved boxes are safe. Solve the problem and try again, or go on with another frame.",
-    ),
-    h(
-      "div",
-      { class: "row" },
+      "div.row",
       button("Try again", onRetry, { "data-testid": "frame-retry" }),
       button("Previous frame", () => onStep("previous"), { "data-testid": "frame-previous" }),
       button("Next frame", () => onStep("next"), { "data-testid": "frame-next" }),

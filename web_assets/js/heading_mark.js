@@ -22,6 +22,6 @@ export function headingMark(/** @type {Parameters<typeof headingJump>[0]} */ lab
       title: jump ? `${jump} from the box beside it in its track` : "Where it faces, seen from above",
       "data-testid": jump ? "heading-jump" : "heading-mark",
     },
-    s("svg", { class: "glyph", viewBox: "0 0 16 16", "aria-hidden": "true" }, arrow),
+    s("svg.glyph", { viewBox: "0 0 16 16", "aria-hidden": "true" }, arrow),
   );
 }

@@ -57,20 +57,12 @@ export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
   /** The job that imports what the one of this line has left out. */
   let rest = "";
   const current = () => app.state.jobs.find(({ id }) => id === rest) ?? find();
-  const text = h("span", { class: "grow", "data-testid": `job-${kind}-text` });
+  const text = h("span.grow", { "data-testid": `job-${kind}-text` });
   const bar = h("progress", { max: 1, "aria-label": "Progress" });
-  const left = h("span", { class: "muted number" });
+  const left = h("span.muted.number");
   const stop = button("Stop", () => cancel(), { class: "danger", "data-testid": `stop-${kind}` });
   const choose = button("Choose classes …", () => importRest(), { "data-testid": "choose-classes" });
-  const root = h(
-    "div",
-    { class: "job-line", "data-testid": `job-${kind}`, role: "status" },
-    text,
-    bar,
-    left,
-    choose,
-    stop,
-  );
+  const root = h("div.job-line", { "data-testid": `job-${kind}`, role: "status" }, text, bar, left, choose, stop);
 
   async function importRest() {
     const job = current();

@@ -278,18 +278,17 @@ function showProblem(/** @type {unknown} */ error, /** @type {Route} */ route) {
   if (!(error instanceof ApiError)) console.error(error);
   isBroken = true;
   const retry = button("Try again", () => follow(), { class: "primary" });
-  const back = h("a", { class: "button", href: "#/" }, "All projects");
+  const back = h("a.button", { href: "#/" }, "All projects");
   const isMissing = error instanceof ApiError && error.status === 404;
   // the server refuses a connection for a project that does not exist, which is no lost connection
   if (isMissing) void app.events.follow(null);
   const title = isMissing ? `There is no project '${route.project}'` : "This page could not be opened";
   work.replaceChildren(
     h(
-      "div",
-      { class: "page" },
-      h("h1", {}, title),
-      h("p", { class: "error-box", role: "alert", "data-testid": "page-problem" }, messageOf(error)),
-      h("div", { class: "row" }, retry, back),
+      "div.page",
+      h("h1", title),
+      h("p.error-box", { role: "alert", "data-testid": "page-problem" }, messageOf(error)),
+      h("div.row", retry, back),
     ),
   );
 }

@@ -27,12 +27,8 @@ async function ask(/** @type {App} */ app) {
   const session = await openDialog({
     title: "Sign in",
     content: [
-      h(
-        "p",
-        {},
-        "Your name is kept with each box that you draw or accept, so that several people can share a project.",
-      ),
-      h("label", { class: "field" }, h("span", {}, "Your name"), field),
+      h("p", "Your name is kept with each box that you draw or accept, so that several people can share a project."),
+      h("label.field", h("span", "Your name"), field),
     ],
     actions: [{ label: "Start", value: "start" }],
     required: true,

@@ -26,30 +26,17 @@ export function askVersion({ theirs, mine }) {
     wide: true,
     required: true,
     content: [
+      h("p", "Your last change was made on an older version and is not saved yet. Choose between the two versions."),
       h(
-        "p",
-        {},
-        "Your last change was made on an older version and is not saved yet. Choose between the two versions.",
-      ),
-      h(
-        "div",
-        { class: "versions" },
+        "div.versions",
+        h("figure", h("figcaption", h("strong", "Saved version")), picture(theirs, null), h("p.help", counts)),
         h(
           "figure",
-          {},
-          h("figcaption", {}, h("strong", {}, "Saved version")),
-          picture(theirs, null),
-          h("p", { class: "help" }, counts),
-        ),
-        h(
-          "figure",
-          {},
-          h("figcaption", {}, h("strong", {}, "Your version")),
+          h("figcaption", h("strong", "Your version")),
           picture(theirs, mine),
           h(
-            "ul",
-            { class: "help" },
-            mine.text.map((line) => h("li", {}, line)),
+            "ul.help",
+            mine.text.map((line) => h("li", line)),
           ),
         ),
       ),
@@ -66,9 +53,8 @@ function picture(/** @type {FrameState} */ state, /** @type {Mine | null} */ min
   const { url, width, height } = state.image;
   const unit = width / 400;
   const svg = s(
-    "svg",
+    "svg.picture",
     {
-      class: "picture",
       viewBox: `-0.5 -0.5 ${width} ${height}`,
       role: "img",
       "aria-label": mine ? "Your version" : "The saved version",

@@ -24,7 +24,7 @@ export function mountTopbar(/** @type {HTMLElement} */ root, /** @type {App} */ 
     brand(),
     tabs(app),
     createWhere(app),
-    h("span", { class: "grow" }),
+    h("span.grow"),
     connection(app),
     jobs(app),
     history(app),
@@ -35,17 +35,17 @@ export function mountTopbar(/** @type {HTMLElement} */ root, /** @type {App} */ 
 
 function brand() {
   return h(
-    "a",
-    { class: "brand", href: "#/", title: "All projects", "data-testid": "home" },
+    "a.brand",
+    { href: "#/", title: "All projects", "data-testid": "home" },
     h("img", { src: "/assets/icon.svg", alt: "" }),
     "annotator",
   );
 }
 
 function tabs(/** @type {App} */ app) {
-  const project = h("span", { class: "project ellipsis" });
+  const project = h("span.project.ellipsis");
   const nav = h("nav", { "aria-label": "Modes" });
-  const box = h("div", { class: "row where" }, h("span", { class: "divider" }), project, nav);
+  const box = h("div.row.where", h("span.divider"), project, nav);
   const show = () => {
     const { mode: current, project: name } = app.state.route;
     box.hidden = name === null;
@@ -74,7 +74,7 @@ function tabs(/** @type {App} */ app) {
 function history(/** @type {App} */ app) {
   const undo = iconButton("undo", "Undo (Ctrl+Z)", () => app.undo(), { "data-testid": "undo" });
   const redo = iconButton("redo", "Redo (Ctrl+Shift+Z)", () => app.redo(), { "data-testid": "redo" });
-  const box = h("div", { class: "row", role: "group", "aria-label": "History" }, undo, redo);
+  const box = h("div.row", { role: "group", "aria-label": "History" }, undo, redo);
   const show = () => {
     box.hidden = app.state.route.project === null;
     const known = app.state.frame?.history;
@@ -101,7 +101,7 @@ function describe(
 }
 
 function connection(/** @type {App} */ app) {
-  const note = h("span", { class: "offline", role: "status" });
+  const note = h("span.offline", { role: "status" });
   app.state.on("connected", (connected) => (note.textContent = connected ? "" : "no connection, trying again …"));
   return note;
 }
@@ -109,8 +109,8 @@ function connection(/** @type {App} */ app) {
 /** The running job, or the first one that waits. */
 function jobs(/** @type {App} */ app) {
   const bar = h("progress", { max: 1, "aria-label": "Progress" });
-  const text = h("span", {});
-  const link = h("a", { class: "jobs", "data-testid": "job-indicator" }, text, bar);
+  const text = h("span");
+  const link = h("a.jobs", { "data-testid": "job-indicator" }, text, bar);
   const show = () => {
     const running =
       app.state.jobs.find(({ state }) => state === "running") ??
@@ -150,7 +150,7 @@ function tools(/** @type {App} */ app) {
     operator.hidden = !name;
   });
   operator.hidden = true;
-  return h("div", { class: "row" }, theme, help, operator);
+  return h("div.row", theme, help, operator);
 }
 
 async function leave(/** @type {App} */ app) {

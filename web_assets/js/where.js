@@ -28,11 +28,11 @@ export function createWhere(/** @type {App} */ app) {
   let asked = null;
   const recordings = createChooser(app, { name: "recordings", text: "Recordings", read: readRecordings });
   const cameras = createChooser(app, { name: "cameras", text: "Cameras of this moment", read: readCameras });
-  const name = h("span", { class: "ellipsis", "data-testid": "recording-name" });
-  const camera = h("span", { class: "ellipsis", "data-testid": "camera-name" });
-  const nth = h("span", { class: "muted number" });
+  const name = h("span.ellipsis", { "data-testid": "recording-name" });
+  const camera = h("span.ellipsis", { "data-testid": "camera-name" });
+  const nth = h("span.muted.number");
   recordings.button.append(name, glyph("down"));
-  cameras.button.append(camera, nth, h("kbd", {}, "K"));
+  cameras.button.append(camera, nth, h("kbd", "K"));
   const position = button([], () => askFrame(), {
     class: "quiet number position",
     title: "Go to a frame (Ctrl+G)",
@@ -65,16 +65,15 @@ export function createWhere(/** @type {App} */ app) {
   };
   const previous = iconButton("previous", "Previous frame in time", step("previous"));
   const next = iconButton("next", "Next frame in time", step("next"));
-  const others = h("span", { class: "presence ellipsis", "data-testid": "presence" });
+  const others = h("span.presence.ellipsis", { "data-testid": "presence" });
   const lock = h(
     "span",
     { title: "Finalised: automatic passes do not change this frame", class: "muted" },
     glyph("lock"),
   );
   const root = h(
-    "div",
-    { class: "where" },
-    h("span", { class: "divider" }),
+    "div.where",
+    h("span.divider"),
     recordings.button,
     previous,
     position,
@@ -216,7 +215,7 @@ function createChooser(app, { name, text, read }) {
       rows.querySelector("button")?.click();
     },
   });
-  const list = h("div", { class: "chooser-list", popover: "auto", role: "dialog", "aria-label": text }, search, rows);
+  const list = h("div.chooser-list", { popover: "auto", role: "dialog", "aria-label": text }, search, rows);
   const opener = h("button", {
     type: "button",
     class: "quiet chooser",
@@ -255,9 +254,9 @@ function createChooser(app, { name, text, read }) {
       { "data-key": name },
       button(
         [
-          picture ? h("img", { src: picture, alt: "", loading: "lazy" }) : h("span", { class: "no-picture" }),
-          h("span", { class: "title" }, name),
-          h("span", { class: "note muted" }, note, done === null ? null : h("progress", { max: 1, value: done })),
+          picture ? h("img", { src: picture, alt: "", loading: "lazy" }) : h("span.no-picture"),
+          h("span.title", name),
+          h("span.note.muted", note, done === null ? null : h("progress", { max: 1, value: done })),
         ],
         () => {
           list.hidePopover();

@@ -48,8 +48,8 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     onStep: (which) => void leaveBroken(which),
   });
   // what is set before the recording is known would be lost
-  const aside = h("div", { class: "aside", inert: true }, correction.root, level.root);
-  root.append(h("div", { class: "alignment-mode", "data-testid": "alignment" }, picture.root, aside));
+  const aside = h("div.aside", { inert: true }, correction.root, level.root);
+  root.append(h("div.alignment-mode", { "data-testid": "alignment" }, picture.root, aside));
 
   function hasUnsaved() {
     return correction.isChanged() || level.isUnsaved();

@@ -30,8 +30,8 @@ export function createCorrectionPanel(
     createSlider({ label: `Shift along ${axis} (${where})`, testid: `shift-${axis}`, ...metres }),
   );
   const offset = createSlider({ label: "Clouds' clock ahead", testid: "time-offset", ...seconds });
-  const noTimes = h("p", { class: "help" }, "The frames have no times, so there is no time offset to correct.");
-  const offsetNote = h("p", { class: "bad", hidden: true, "data-testid": "offset-note" });
+  const noTimes = h("p.help", "The frames have no times, so there is no time offset to correct.");
+  const offsetNote = h("p.bad", { hidden: true, "data-testid": "offset-note" });
   const keep = button("Keep this correction", () => onKeep(value()), { "data-testid": "keep-correction" });
   const back = button("Discard changes", onDiscard, { "data-testid": "discard-correction" });
   const zero = button(
@@ -39,7 +39,7 @@ export function createCorrectionPanel(
     () => onKeep({ turn_deg: [0, 0, 0], shift_m: [0, 0, 0], time_offset_s: 0 }),
     { "data-testid": "clear-correction" },
   );
-  const effect = h("p", { class: "help", "data-testid": "correction-effect" });
+  const effect = h("p.help", { "data-testid": "correction-effect" });
 
   /** @returns {Api.CorrectionJson} */
   function value() {

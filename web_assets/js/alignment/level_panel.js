@@ -33,7 +33,7 @@ export function createLevelPanel({ rotation, onChange, onPropose, onDiscard, onK
   const refuse = button("Refuse", onDiscard, { "data-testid": "refuse-up" });
   const unknown = button("Clear", () => onKeep(null), { "data-testid": "clear-up" });
   unknown.title = "Take it from the recording's files again; if they do not tell, it is unknown";
-  const follows = h("p", { class: "help", "data-testid": "up-effect" });
+  const follows = h("p.help", { "data-testid": "up-effect" });
 
   function turn() {
     estimate = null;

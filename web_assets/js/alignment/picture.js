@@ -186,8 +186,8 @@ function paintLine(
  *     `onRecording`: another recording was chosen; `onMissing`: its image could not be loaded.
  */
 export function createPicturePanel(recordings, { onRecording, onMissing }) {
-  const host = h("div", { class: "picture" });
-  const problem = h("p", { class: "error-box", role: "alert", hidden: true, "data-testid": "alignment-problem" });
+  const host = h("div.picture");
+  const problem = h("p.error-box", { role: "alert", hidden: true, "data-testid": "alignment-problem" });
   const chosen = h(
     "select",
     { "aria-label": "Recording", "data-testid": "alignment-recording", onchange: onRecording },
@@ -204,17 +204,16 @@ export function createPicturePanel(recordings, { onRecording, onMissing }) {
 
   const header = h(
     "header",
-    {},
-    h("h2", { class: "ellipsis" }, "Cloud over image"),
+    h("h2.ellipsis", "Cloud over image"),
     chosen,
-    h("span", { class: "grow" }),
-    h("label", { class: "row" }, points, "points"),
-    h("label", { class: "row", title: "Size of the points" }, size),
-    h("label", { class: "row" }, level, "level"),
+    h("span.grow"),
+    h("label.row", points, "points"),
+    h("label.row", { title: "Size of the points" }, size),
+    h("label.row", level, "level"),
   );
   const help = "Near points are red, far ones blue. The wheel zooms; drag to move the picture.";
   return {
-    root: h("section", { class: "panel" }, header, problem, host, h("footer", { class: "help" }, help)),
+    root: h("section.panel", header, problem, host, h("footer.help", help)),
     host,
     chosen,
     set: picture.set,

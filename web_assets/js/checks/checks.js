@@ -18,16 +18,11 @@ const KINDS = [
 const LISTED = 200;
 
 export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
-  const body = h("div", { class: "stack" }, h("p", { class: "muted" }, "Checking all boxes …"));
-  const note = h("span", { class: "muted", role: "status", "data-testid": "checks-note" });
+  const body = h("div.stack", h("p.muted", "Checking all boxes …"));
+  const note = h("span.muted", { role: "status", "data-testid": "checks-note" });
   const again = button("Check again", () => void load(), { "data-testid": "check-again" });
   root.append(
-    h(
-      "div",
-      { class: "page", "data-testid": "checks" },
-      h("div", { class: "row" }, h("h1", {}, "Checks"), note, h("span", { class: "grow" }), again),
-      body,
-    ),
+    h("div.page", { "data-testid": "checks" }, h("div.row", h("h1", "Checks"), note, h("span.grow"), again), body),
   );
   let ended = false;
   let timer = 0;
@@ -43,7 +38,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       // the server stops after a few seconds; the next request continues
       if (report.uncounted > 0) timer = setTimeout(load, 200);
     } catch (error) {
-      if (!ended) patch(body, h("p", { class: "error-box", role: "alert" }, messageOf(error)));
+      if (!ended) patch(body, h("p.error-box", { role: "alert" }, messageOf(error)));
     } finally {
       again.disabled = false;
     }
@@ -55,7 +50,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
         ? `Counting points: ${count(uncounted, "frame")} left …`
         : `${count(labels, "box", "boxes")} checked.`;
     const failed = unreadable.length
-      ? [h("div", { class: "error-box", role: "alert" }, `What cannot be read:\n${unreadable.join("\n")}`)]
+      ? [h("div.error-box", { role: "alert" }, `What cannot be read:\n${unreadable.join("\n")}`)]
       : [];
     if (warnings.length === 0) {
       const nothing =
@@ -71,11 +66,11 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
         body,
         failed,
         h(
-          "div",
-          { class: "empty panel", "data-testid": "no-warnings" },
-          h("h2", {}, nothing[0]),
-          h("p", {}, nothing[1]),
-          h("a", { class: "button", href: makeHash(app.state.route.project, nothing[2]) }, nothing[3]),
+          "div.empty.panel",
+          { "data-testid": "no-warnings" },
+          h("h2", nothing[0]),
+          h("p", nothing[1]),
+          h("a.button", { href: makeHash(app.state.route.project, nothing[2]) }, nothing[3]),
         ),
       );
       return;
@@ -98,18 +93,12 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   ) {
     const rows = matching.slice(0, LISTED).map(row);
     if (matching.length > LISTED)
-      rows.push(h("li", { class: "muted pad" }, `and ${count(matching.length - LISTED, "more", "more")}`));
+      rows.push(h("li.muted.pad", `and ${count(matching.length - LISTED, "more", "more")}`));
     return h(
-      "section",
-      { class: "panel", "data-testid": `checks-${kind}` },
-      h(
-        "header",
-        {},
-        h("h2", {}, title),
-        h("span", { class: "chip number" }, String(matching.length)),
-        h("span", { class: "muted" }, help),
-      ),
-      h("ul", { class: "warnings" }, rows),
+      "section.panel",
+      { "data-testid": `checks-${kind}` },
+      h("header", h("h2", title), h("span.chip.number", String(matching.length)), h("span.muted", help)),
+      h("ul.warnings", rows),
     );
   }
 
@@ -117,12 +106,11 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     const href = makeHash(app.state.route.project, "annotate", frame, { uid });
     return h(
       "li",
-      {},
       h(
         "a",
         { href, "data-testid": "warning", "data-uid": uid },
-        h("span", { class: "grow" }, message),
-        h("span", { class: "muted number" }, `${recording}, frame ${key}`),
+        h("span.grow", message),
+        h("span.muted.number", `${recording}, frame ${key}`),
       ),
     );
   }

@@ -45,7 +45,7 @@ function choice(/** @type {string} */ text, /** @type {string[]} */ names) {
     { "data-testid": "ask-into" },
     names.map((name) => h("option", { value: name }, name)),
   );
-  return { select, root: h("label", { class: "field" }, h("span", {}, text), select) };
+  return { select, root: h("label.field", h("span", text), select) };
 }
 
 /** Renames a class, an attribute, or one of its choices. */
@@ -71,10 +71,10 @@ export function askRename(
     {
       title: `Rename ${name}`,
       content: [
-        choices.length ? h("label", { class: "field" }, h("span", {}, "What"), part) : null,
-        h("label", { class: "field" }, h("span", {}, "New name"), input),
-        h("p", { class: "help" }, `${follow}. ${UNDO}`),
-        choices.length ? h("p", { class: "help" }, "The name of another choice merges both.") : null,
+        choices.length ? h("label.field", h("span", "What"), part) : null,
+        h("label.field", h("span", "New name"), input),
+        h("p.help", `${follow}. ${UNDO}`),
+        choices.length ? h("p.help", "The name of another choice merges both.") : null,
       ].filter((node) => node !== null),
       action: "Rename",
     },
@@ -101,8 +101,8 @@ export function askMerge(
       title: `Merge ${row.name}`,
       content: [
         into.root,
-        h("p", {}, `The other class gets ${boxesOf(row)}, and ${row.name} is removed.`),
-        h("p", { class: "help" }, UNDO),
+        h("p", `The other class gets ${boxesOf(row)}, and ${row.name} is removed.`),
+        h("p.help", UNDO),
       ],
       action: "Merge",
     },
@@ -119,7 +119,7 @@ export function askRemove(/** @type {Api.ClassRow} */ row, /** @type {ChangeClas
   return ask(
     {
       title: `Remove ${row.name}`,
-      content: [h("p", {}, text), h("p", { class: "help" }, UNDO)],
+      content: [h("p", text), h("p.help", UNDO)],
       action: isUsed ? `Remove it with ${boxesOf(row)}` : "Remove",
       kind: "danger",
     },
@@ -138,7 +138,7 @@ export function askRemoveAttribute(
   return ask(
     {
       title: `Remove ${name}`,
-      content: [h("p", {}, text), h("p", { class: "help" }, UNDO)],
+      content: [h("p", text), h("p.help", UNDO)],
       action: "Remove",
       kind: "danger",
     },

@@ -89,14 +89,13 @@ export function attributeForm({ attribute, classes, attributes, change }) {
     input(`attribute-class-${label}`, { type: "checkbox", value: label, checked: known?.classes?.includes(label) }),
   );
   const ofChoices = field("Choices, one in each line", choices);
-  const limits = h("div", { class: "row" }, field("Smallest", least), field("Greatest", most));
+  const limits = h("div.row", field("Smallest", least), field("Greatest", most));
   const ofClasses = h(
-    "fieldset",
-    { class: "plain" },
-    h("legend", { class: "field-label" }, "Only of these classes (none: of all)"),
-    h("div", { class: "row" }, ...boxes.map((box) => h("label", { class: "row" }, box, box.value))),
+    "fieldset.plain",
+    h("legend.field-label", "Only of these classes (none: of all)"),
+    h("div.row", ...boxes.map((box) => h("label.row", box, box.value))),
   );
-  const dropping = h("label", { class: "row", hidden: true }, drop, "Remove the values that do not fit");
+  const dropping = h("label.row", { hidden: true }, drop, "Remove the values that do not fit");
 
   function show() {
     ofChoices.hidden = kind.value !== "choice";
@@ -135,9 +134,9 @@ export function attributeForm({ attribute, classes, attributes, change }) {
       ofChoices,
       limits,
       ofClasses,
-      h("div", { class: "row" }, field("Default", usual), field("Key, with Alt", key)),
-      h("label", { class: "row" }, required, "Required: Checks list what has no value"),
-      h("p", { class: "help" }, "New boxes get the default, and so do existing boxes and frames without a value."),
+      h("div.row", field("Default", usual), field("Key, with Alt", key)),
+      h("label.row", required, "Required: Checks list what has no value"),
+      h("p.help", "New boxes get the default, and so do existing boxes and frames without a value."),
       dropping,
     ],
     actions: [
@@ -164,5 +163,5 @@ const lines = (/** @type {string} */ text) =>
     .filter(Boolean);
 
 function field(/** @type {string} */ text, /** @type {HTMLElement} */ control) {
-  return h("label", { class: "field" }, h("span", {}, text), control);
+  return h("label.field", h("span", text), control);
 }

@@ -11,9 +11,9 @@ import { attributeForm, describe } from "./attribute_form.js";
 /** Shows the classes and attributes of a project until it is closed. */
 export async function editClasses(/** @type {App} */ app, /** @type {string} */ project) {
   const path = projectPath(project, "classes");
-  const problem = h("p", { class: "error-box", role: "alert", hidden: true, "data-testid": "classes-problem" });
-  const classes = h("div", { class: "class-rows", "data-testid": "class-rows" });
-  const attributes = h("div", { class: "attribute-rows", "data-testid": "attribute-rows" });
+  const problem = h("p.error-box", { role: "alert", hidden: true, "data-testid": "classes-problem" });
+  const classes = h("div.class-rows", { "data-testid": "class-rows" });
+  const attributes = h("div.attribute-rows", { "data-testid": "attribute-rows" });
   const name = h("input", {
     "aria-label": "New class",
     placeholder: "New class",
@@ -34,7 +34,7 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
       listed.classes.map((row, index) => classRow(row, index, names)),
     );
     const rows = schema().map((attribute) => attributeRow(attribute, names));
-    patch(attributes, rows.length ? rows : h("p", { class: "muted" }, "None yet."));
+    patch(attributes, rows.length ? rows : h("p.muted", "None yet."));
     const again = focused ? classes.querySelector(`[aria-label="${CSS.escape(focused)}"]`) : null;
     if (again instanceof HTMLElement) again.focus();
   }
@@ -88,8 +88,7 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
       "aria-label": `Colour of ${label}`,
       onchange: (event) => style({ colour: fieldOf(event).value }),
     });
-    const typed = h("input", {
-      class: "key",
+    const typed = h("input.key", {
       value: key ?? "",
       maxlength: 1,
       placeholder: "–",
@@ -99,17 +98,16 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
       onchange: (event) => style({ key: fieldOf(event).value.trim().toLowerCase() || null }),
     });
     return h(
-      "div",
-      { class: "class-row", "data-testid": "class-row", "data-name": label, "data-key": label },
-      h("span", { class: "row" }, index < 9 ? h("kbd", {}, String(index + 1)) : null),
+      "div.class-row",
+      { "data-testid": "class-row", "data-name": label, "data-key": label },
+      h("span.row", index < 9 ? h("kbd", String(index + 1)) : null),
       picked,
-      colour ? iconButton("close", `Default colour for ${label}`, () => style({ colour: null })) : h("span", {}),
-      h("strong", { class: "ellipsis", title: label }, label),
-      h("label", { class: "row muted" }, "Alt", typed),
-      h("span", { class: "muted number", "data-testid": "class-counts" }, boxesOf(row)),
+      colour ? iconButton("close", `Default colour for ${label}`, () => style({ colour: null })) : h("span"),
+      h("strong.ellipsis", { title: label }, label),
+      h("label.row.muted", "Alt", typed),
+      h("span.muted.number", { "data-testid": "class-counts" }, boxesOf(row)),
       h(
-        "span",
-        { class: "row" },
+        "span.row",
         iconButton("up", `Move ${label} up`, () => move(index - 1), { disabled: index === 0 }),
         iconButton("down", `Move ${label} down`, () => move(index + 1), { disabled: index === names.length - 1 }),
         button("Rename", () => askRename(row, change)),
@@ -126,18 +124,12 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
       put({ do: "order_attributes", names: all.toSpliced(index, 1).toSpliced(to, 0, attribute.name) });
     const values = listed.values[attribute.name] ?? 0;
     return h(
-      "div",
-      {
-        class: "attribute-row",
-        "data-testid": "attribute-row",
-        "data-name": attribute.name,
-        "data-key": attribute.name,
-      },
-      h("span", { class: "grow" }, h("strong", {}, attribute.name), ` ${describe(attribute)}`),
-      h("span", { class: "muted number" }, count(values, "value")),
+      "div.attribute-row",
+      { "data-testid": "attribute-row", "data-name": attribute.name, "data-key": attribute.name },
+      h("span.grow", h("strong", attribute.name), ` ${describe(attribute)}`),
+      h("span.muted.number", count(values, "value")),
       h(
-        "span",
-        { class: "row" },
+        "span.row",
         iconButton("up", `Move ${attribute.name} up`, () => move(index - 1), { disabled: index === 0 }),
         iconButton("down", `Move ${attribute.name} down`, () => move(index + 1), {
           disabled: index === all.length - 1,
@@ -157,16 +149,15 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
       testid: "classes-dialog",
       wide: true,
       content: [
-        h("p", { class: "help" }, "Each change is saved at once, for everybody. Undo (Ctrl+Z) takes it back."),
+        h("p.help", "Each change is saved at once, for everybody. Undo (Ctrl+Z) takes it back."),
         problem,
         classes,
-        h("div", { class: "row" }, name, button("Add", add, { "data-testid": "add-class" })),
-        h("h3", {}, "Attributes"),
-        h("p", { class: "help" }, "What is noted of each box, of each object along its track, or of each frame."),
+        h("div.row", name, button("Add", add, { "data-testid": "add-class" })),
+        h("h3", "Attributes"),
+        h("p.help", "What is noted of each box, of each object along its track, or of each frame."),
         attributes,
         h(
-          "div",
-          { class: "row" },
+          "div.row",
           button(
             "Add attribute",
             () => attributeForm({ classes: listed.classes.map((row) => row.name), attributes: schema(), change }),

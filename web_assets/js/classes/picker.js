@@ -24,7 +24,7 @@ async function byUse(/** @type {ModeApp} */ app) {
 }
 
 function swatchOf(/** @type {ModeApp} */ app, /** @type {string} */ label) {
-  const swatch = h("span", { class: "swatch" });
+  const swatch = h("span.swatch");
   swatch.style.background = classColor(app.state.project, label);
   return swatch;
 }
@@ -32,14 +32,14 @@ function swatchOf(/** @type {ModeApp} */ app, /** @type {string} */ label) {
 /** The digit that chooses a class. */
 function digitOf(/** @type {ModeApp} */ app, /** @type {string} */ label) {
   const index = app.state.project.classes.indexOf(label);
-  return index < 9 ? h("kbd", {}, String(index + 1)) : null;
+  return index < 9 ? h("kbd", String(index + 1)) : null;
 }
 
 /** Asks for one of the classes; null if none was chosen. Enter takes the first of those that are found. */
 export async function askClass(/** @type {ModeApp} */ app) {
   const names = await byUse(app);
   let found = names;
-  const list = h("ul", { class: "class-list", "data-testid": "class-list" });
+  const list = h("ul.class-list", { "data-testid": "class-list" });
   const field = h("input", {
     type: "search",
     "aria-label": "Search a class",
@@ -58,10 +58,10 @@ export async function askClass(/** @type {ModeApp} */ app) {
         clicked = name;
         /** @type {HTMLButtonElement} */ (currentTarget).form?.requestSubmit();
       };
-      const content = [swatchOf(app, name), h("span", { class: "ellipsis grow" }, name), digitOf(app, name)];
+      const content = [swatchOf(app, name), h("span.ellipsis.grow", name), digitOf(app, name)];
       return h("li", { "data-key": name }, button(content, choose, { class: "quiet row-button" }));
     });
-    patch(list, rows.length ? rows : h("li", { class: "muted pad" }, "No class has this in its name."));
+    patch(list, rows.length ? rows : h("li.muted.pad", "No class has this in its name."));
   }
   show();
   return openDialog({
@@ -78,7 +78,7 @@ export async function askClass(/** @type {ModeApp} */ app) {
 
 /** Buttons for the classes; the digit keys do the same. The last two show all of many, and change them. */
 export function createClassPicker(/** @type {ModeApp} */ app, /** @type {(name: string) => void} */ onPick) {
-  const root = h("div", { class: "classes", role: "radiogroup", "aria-label": "Class" });
+  const root = h("div.classes", { role: "radiogroup", "aria-label": "Class" });
   const more = button([], () => void ask(), { "data-testid": "all-classes", title: "Choose from all classes (/)" });
   const edit = iconButton(
     "edit",
@@ -116,21 +116,17 @@ export function createClassPicker(/** @type {ModeApp} */ app, /** @type {(name: 
     patch(
       root,
       shown.map((label) =>
-        button(
-          [swatchOf(app, label), h("span", { class: "ellipsis" }, label), digitOf(app, label)],
-          () => onPick(label),
-          {
-            role: "radio",
-            "aria-checked": String(label === current),
-            "data-testid": `class-${label}`,
-            "data-key": label,
-          },
-        ),
+        button([swatchOf(app, label), h("span.ellipsis", label), digitOf(app, label)], () => onPick(label), {
+          role: "radio",
+          "aria-checked": String(label === current),
+          "data-testid": `class-${label}`,
+          "data-key": label,
+        }),
       ),
     );
     more.hidden = !isMany;
-    patch(more, `+ ${classes.length - shown.length}`, h("kbd", {}, "/"));
+    patch(more, `+ ${classes.length - shown.length}`, h("kbd", "/"));
   }
 
-  return { root: h("div", { class: "row class-picker" }, root, more, edit), show, ask };
+  return { root: h("div.row.class-picker", root, more, edit), show, ask };
 }

@@ -11,20 +11,13 @@ const size = (/** @type {number | undefined} */ bytes) =>
   bytes ? `${(bytes / 1e6).toLocaleString("en", { maximumFractionDigits: 1 })} MB, ` : "";
 
 export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
-  const body = h("div", { class: "body stack" });
+  const body = h("div.body.stack");
   /** @type {(() => void)[]} */
   const stop = [];
   let isOver = false;
-  root.append(
-    h(
-      "div",
-      { class: "page" },
-      h("h1", {}, "Export"),
-      h("section", { class: "panel" }, h("header", {}, h("h2", {}, "Make a dataset")), body),
-    ),
-  );
+  root.append(h("div.page", h("h1", "Export"), h("section.panel", h("header", h("h2", "Make a dataset")), body)));
   begin(app, body, stop, () => isOver).catch((error) =>
-    body.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error))),
+    body.replaceChildren(h("p.error-box", { role: "alert" }, messageOf(error))),
   );
   return {
     unmount() {
@@ -45,23 +38,16 @@ async function begin(
   if (isOver()) return;
   const asked = createExportForm(app, formats, show);
   const start = h("button", { type: "submit", class: "primary", "data-testid": "export-start" }, "Export");
-  const note = h("span", { class: "help", "data-testid": "export-note" });
-  const problem = h("p", { class: "error-box", role: "alert", hidden: true });
+  const note = h("span.help", { "data-testid": "export-note" });
+  const problem = h("p.error-box", { role: "alert", hidden: true });
   const line = createJobLine(app, "export");
-  const result = h("div", { class: "stack", "data-testid": "export-result" });
+  const result = h("div.stack", { "data-testid": "export-result" });
   const empty = h(
-    "div",
-    { class: "empty" },
-    h("p", {}, "No boxes are accepted yet. Review proposals, or label objects, first."),
-    h("a", { class: "button", href: makeHash(app.state.route.project, "annotate") }, "Annotate"),
+    "div.empty",
+    h("p", "No boxes are accepted yet. Review proposals, or label objects, first."),
+    h("a.button", { href: makeHash(app.state.route.project, "annotate") }, "Annotate"),
   );
-  const form = h(
-    "form",
-    { class: "stack", "data-testid": "export-form" },
-    asked.parts,
-    problem,
-    h("div", { class: "row" }, start, note),
-  );
+  const form = h("form.stack", { "data-testid": "export-form" }, asked.parts, problem, h("div.row", start, note));
   body.replaceChildren(empty, form, line.root, result);
 
   form.addEventListener("submit", async (event) => {
@@ -112,31 +98,29 @@ function describe(/** @type {Api.Job} */ { id, created_ns, operator, download, r
   const result = anything;
   const made = new Date(created_ns / 1e6).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
   const get = h(
-    "a",
-    { class: "button primary-link", href: `/api/jobs/${id}/download`, download: "", "data-testid": "download" },
+    "a.button.primary-link",
+    { href: `/api/jobs/${id}/download`, download: "", "data-testid": "download" },
     "Download the dataset",
   );
   const gone = h("span", { "data-testid": "download-gone" }, "The dataset is no longer kept. Export it again.");
   const about = h(
-    "span",
-    { class: "muted number" },
+    "span.muted.number",
     `${result?.format ? `${result.format}, ` : ""}${size(result?.bytes)}made ${made} by ${operator}`,
   );
   const parts = Object.entries(result?.splits ?? {}).map(([name, frames]) => `${name}: ${count(frames, "frame")}`);
   const lost = result?.lost ?? [];
   const unreadable = result?.unreadable ?? [];
   return [
-    h("div", { class: "row" }, download === "gone" ? gone : get, about),
-    parts.length ? h("p", { class: "number", "data-testid": "export-parts" }, parts.join(", ")) : null,
+    h("div.row", download === "gone" ? gone : get, about),
+    parts.length ? h("p.number", { "data-testid": "export-parts" }, parts.join(", ")) : null,
     lost.length
       ? h(
           "div",
           { "data-testid": "export-lost" },
-          h("p", { class: "field-label" }, "What the format cannot hold"),
+          h("p.field-label", "What the format cannot hold"),
           h(
-            "ul",
-            { class: "help" },
-            lost.map((text) => h("li", {}, text)),
+            "ul.help",
+            lost.map((text) => h("li", text)),
           ),
         )
       : null,
@@ -144,14 +128,13 @@ function describe(/** @type {Api.Job} */ { id, created_ns, operator, download, r
       ? h(
           "div",
           { "data-testid": "export-unreadable" },
-          h("p", { class: "field-label" }, "Frames left out because they cannot be read"),
+          h("p.field-label", "Frames left out because they cannot be read"),
           h(
-            "ul",
-            { class: "help" },
-            unreadable.map((text) => h("li", {}, text)),
+            "ul.help",
+            unreadable.map((text) => h("li", text)),
           ),
         )
       : null,
-    ...(result?.notes ?? []).map((text) => h("p", { class: "help" }, text)),
+    ...(result?.notes ?? []).map((text) => h("p.help", text)),
   ].filter((part) => part !== null);
 }

@@ -33,7 +33,7 @@ export function createExportForm(
   const check = (value, checked, testid) =>
     h("input", { type: "checkbox", value, checked, onchange: onChange, "data-testid": testid });
   const states = STATES.map(([state]) => check(state, USUAL.has(state), `export-state-${state}`));
-  const counts = STATES.map(() => h("span", { class: "muted number" }));
+  const counts = STATES.map(() => h("span.muted.number"));
   const ofClasses = classes.map((name) => check(name, true));
   const ofRecordings = recordings.map(({ id, name }) => check(String(id), true, `export-recording-${name}`));
   const format = remembered(
@@ -45,7 +45,7 @@ export function createExportForm(
     ),
   );
   const pictures = h("select", { "data-testid": "export-pictures" }, options(PICTURES));
-  const picturesField = h("label", { class: "field" }, h("span", {}, "2D boxes on"), pictures);
+  const picturesField = h("label.field", h("span", "2D boxes on"), pictures);
   const skip = check("skip", false, "export-skip-unreadable");
   const divide = check("divide", false, "export-divide");
   const shares = remembered(
@@ -72,10 +72,10 @@ export function createExportForm(
     class: "number",
     "data-testid": "export-seed",
   });
-  const division = h("div", { class: "row", hidden: true }, shares, by, "seed", seed);
+  const division = h("div.row", { hidden: true }, shares, by, "seed", seed);
 
   const group = (/** @type {string} */ legend, /** @type {Child | Child[]} */ rows) =>
-    h("fieldset", { class: "plain" }, h("legend", { class: "field-label" }, legend), rows);
+    h("fieldset.plain", h("legend.field-label", legend), rows);
   const several = (
     /** @type {string} */ legend,
     /** @type {HTMLInputElement[]} */ boxes,
@@ -85,9 +85,8 @@ export function createExportForm(
       ? group(
           legend,
           h(
-            "div",
-            { class: "choices-list" },
-            boxes.map((box, i) => h("label", { class: "row" }, box, names[i])),
+            "div.choices-list",
+            boxes.map((box, i) => h("label.row", box, names[i])),
           ),
         )
       : null;
@@ -100,7 +99,7 @@ export function createExportForm(
     parts: [
       group(
         "Boxes",
-        STATES.map(([, text], i) => h("label", { class: "row" }, states[i], text, counts[i])),
+        STATES.map(([, text], i) => h("label.row", states[i], text, counts[i])),
       ),
       several("Classes", ofClasses, classes),
       several(
@@ -108,10 +107,10 @@ export function createExportForm(
         ofRecordings,
         recordings.map(({ name }) => name),
       ),
-      h("label", { class: "field" }, h("span", {}, "Format"), format),
+      h("label.field", h("span", "Format"), format),
       picturesField,
-      group("Parts", [h("label", { class: "row" }, divide, "Split the frames into parts"), division]),
-      group("Damaged files", [h("label", { class: "row" }, skip, "Leave out frames that cannot be read")]),
+      group("Parts", [h("label.row", divide, "Split the frames into parts"), division]),
+      group("Damaged files", [h("label.row", skip, "Leave out frames that cannot be read")]),
     ].filter((part) => part !== null),
 
     /**

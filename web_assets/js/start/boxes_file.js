@@ -80,14 +80,12 @@ export async function importBoxes(app, name) {
   );
   const source = h("input", { type: "text", maxlength: 200, "data-testid": "boxes-source" });
   const minScore = h("input", { type: "number", step: "any", "data-testid": "boxes-min-score" });
-  const scoreHelp = h("span", { class: "help" });
+  const scoreHelp = h("span.help");
   const of2d = h(
-    "div",
-    { class: "stack" },
-    h("label", { class: "field" }, h("span", {}, "The boxes enclose"), kind),
+    "div.stack",
+    h("label.field", h("span", "The boxes enclose"), kind),
     h(
-      "label",
-      { class: "row" },
+      "label.row",
       lift,
       measuredBy === null
         ? "Propose 3D boxes from them: this needs a view detector, train one first"
@@ -95,31 +93,23 @@ export async function importBoxes(app, name) {
     ),
   );
   const ofProposals = h(
-    "div",
-    { class: "stack" },
+    "div.stack",
     h(
-      "label",
-      { class: "field" },
-      h("span", {}, "Source"),
+      "label.field",
+      h("span", "Source"),
       source,
-      h("span", { class: "help" }, "Whose boxes they are. They replace what this source has proposed before."),
+      h("span.help", "Whose boxes they are. They replace what this source has proposed before."),
     ),
-    h("label", { class: "field" }, h("span", {}, "Lowest score"), minScore, scoreHelp),
+    h("label.field", h("span", "Lowest score"), minScore, scoreHelp),
   );
-  const of3d = h(
-    "div",
-    { class: "stack" },
-    h("label", { class: "field" }, h("span", {}, "The boxes become"), become),
-    ofProposals,
-  );
+  const of3d = h("div.stack", h("label.field", h("span", "The boxes become"), become), ofProposals);
   const addAttributes = h("input", { type: "checkbox", "data-testid": "boxes-add-attributes" });
   const ofAttributes = h(
-    "label",
-    { class: "row" },
+    "label.row",
     addAttributes,
     "Add the file's attributes that the project lacks, and give labels the values that they lack",
   );
-  const about = h("div", { class: "stack", role: "status", "data-testid": "boxes-about" });
+  const about = h("div.stack", { role: "status", "data-testid": "boxes-about" });
 
   async function send() {
     const [chosen] = file.files ?? [];
@@ -151,7 +141,7 @@ export async function importBoxes(app, name) {
       about.replaceChildren(...(sent ? described(sent) : []).filter((line) => line !== null));
     } catch (error) {
       if (own !== asked) return;
-      about.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
+      about.replaceChildren(h("p.error-box", { role: "alert" }, messageOf(error)));
     }
     isReading = false;
     classes.show(sent?.boxes ?? {});
@@ -203,13 +193,11 @@ export async function importBoxes(app, name) {
     wide: true,
     content: [
       h(
-        "label",
-        { class: "field" },
-        h("span", {}, "File"),
+        "label.field",
+        h("span", "File"),
         file,
         h(
-          "span",
-          { class: "help" },
+          "span.help",
           "2D boxes on camera images: a COCO file (.json), or a YOLO or COCO folder packed as .zip. 3D boxes: " +
             "boxes.json, OpenLABEL, nuScenes' results, a CSV file of upright boxes, or a folder such as KITTI's " +
             "label_2 packed as .zip. Images and frames must have the names of the project's, such as 000012.",
@@ -217,9 +205,7 @@ export async function importBoxes(app, name) {
       ),
       about,
       classes.root,
-      ...(project.recordings.length > 1
-        ? [h("label", { class: "field" }, h("span", {}, "The boxes are of"), recording)]
-        : []),
+      ...(project.recordings.length > 1 ? [h("label.field", h("span", "The boxes are of"), recording)] : []),
       of2d,
       of3d,
       ofAttributes,
@@ -245,8 +231,8 @@ function described(/** @type {Api.BoxesFile} */ { name, found, notes, ambiguous,
     ...notes.map((note) => h("p", { "data-testid": "boxes-note" }, note)),
     ambiguous
       ? h(
-          "p",
-          { class: "error-box", role: "alert" },
+          "p.error-box",
+          { role: "alert" },
           `${count(ambiguous, thing)} could be of several recordings. Choose the recording below.`,
         )
       : null,

@@ -27,7 +27,7 @@ export function createClassChoice(app, { name, classes }, areAdded) {
   const choices = new Map();
   /** @type {string[]} */
   let labels = [];
-  const root = h("fieldset", { class: "choices", hidden: true, "data-testid": "boxes-classes" });
+  const root = h("fieldset.choices", { hidden: true, "data-testid": "boxes-classes" });
 
   function choice(/** @type {string} */ label) {
     const like = alike(classes, label);
@@ -49,12 +49,11 @@ export function createClassChoice(app, { name, classes }, areAdded) {
       root.hidden = unknown.length === 0;
       for (const label of unknown) if (!choices.has(label)) choices.set(label, choice(label));
       root.replaceChildren(
-        h("legend", { class: "field-label" }, "Classes that the project does not have"),
+        h("legend.field-label", "Classes that the project does not have"),
         ...unknown.map((label) =>
           h(
-            "label",
-            { class: "row" },
-            h("span", { class: "grow ellipsis" }, `${label} (${count(boxes[label], "box", "boxes")})`),
+            "label.row",
+            h("span.grow.ellipsis", `${label} (${count(boxes[label], "box", "boxes")})`),
             choices.get(label),
           ),
         ),

@@ -29,7 +29,7 @@ export function createMenu(app, project, refresh, onJob) {
         }),
         remove,
       ];
-  const list = h("div", { class: "menu", popover: "auto", role: "menu", "aria-label": `Project ${name}` }, items);
+  const list = h("div.menu", { popover: "auto", role: "menu", "aria-label": `Project ${name}` }, items);
   const opener = button(glyph("more"), null, {
     class: "icon quiet",
     title: "Recordings, rename, copy, remove",
@@ -66,7 +66,7 @@ function nameField(/** @type {string} */ label, /** @type {string} */ value) {
     value,
     "data-testid": "new-name",
   });
-  return { input, root: h("label", { class: "field" }, h("span", {}, label), input) };
+  return { input, root: h("label.field", h("span", label), input) };
 }
 
 function rename(/** @type {App} */ app, /** @type {string} */ project) {
@@ -74,7 +74,7 @@ function rename(/** @type {App} */ app, /** @type {string} */ project) {
   return openDialog({
     title: `Rename ${project}`,
     testid: "rename-dialog",
-    content: [root, h("p", { class: "help" }, "Its folder is renamed, too. Pages that show the project follow.")],
+    content: [root, h("p.help", "Its folder is renamed, too. Pages that show the project follow.")],
     actions: [
       { label: "Cancel", value: "cancel" },
       { label: "Rename", value: "rename" },
@@ -97,12 +97,8 @@ function copy(/** @type {App} */ app, /** @type {Api.ProjectSummary} */ project)
     testid: "copy-dialog",
     content: [
       root,
-      h("label", { class: "row" }, labels, `With its ${count(numberOfLabels(project), "label")}`),
-      h(
-        "p",
-        { class: "help" },
-        "The copy has the same classes, settings and detectors, and reads the same recordings.",
-      ),
+      h("label.row", labels, `With its ${count(numberOfLabels(project), "label")}`),
+      h("p.help", "The copy has the same classes, settings and detectors, and reads the same recordings."),
     ],
     actions: [
       { label: "Cancel", value: "cancel" },
@@ -127,14 +123,12 @@ async function removeProject(/** @type {App} */ app, /** @type {Api.ProjectSumma
     content: [
       h(
         "p",
-        {},
         problem
           ? "It cannot be opened, so what it holds is not known."
           : `It has ${count(project.recordings, "recording")} and ${count(labels, "label")}.`,
       ),
       h(
-        "p",
-        { class: "help" },
+        "p.help",
         "Nothing is deleted: you can bring it back, with labels and detectors, at the end of the list of projects. " +
           "The files of its recordings stay where they are.",
       ),
@@ -157,8 +151,8 @@ const numberOfLabels = (/** @type {Api.ProjectSummary} */ { labels_by_state: sta
 
 /** The removed projects, which can be brought back. */
 export function createRemoved(/** @type {App} */ app, /** @type {() => unknown} */ refresh) {
-  const list = h("ul", { class: "recordings" });
-  const root = h("details", { hidden: true, "data-testid": "removed" }, h("summary", {}, "Removed projects"), list);
+  const list = h("ul.recordings");
+  const root = h("details", { hidden: true, "data-testid": "removed" }, h("summary", "Removed projects"), list);
 
   async function bringBack(/** @type {Api.RemovedProject} */ { id }) {
     try {
@@ -172,10 +166,9 @@ export function createRemoved(/** @type {App} */ app, /** @type {() => unknown} 
   function row(/** @type {Api.RemovedProject} */ project) {
     const when = new Date(project.removed_s * 1000).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
     return h(
-      "li",
-      { class: "row" },
-      h("span", { class: "ellipsis" }, project.name),
-      h("span", { class: "muted" }, `removed ${when}`),
+      "li.row",
+      h("span.ellipsis", project.name),
+      h("span.muted", `removed ${when}`),
       button("Bring back", () => bringBack(project), { "data-testid": `bring-back-${project.name}` }),
     );
   }
@@ -219,8 +212,7 @@ export function createProject(/** @type {App} */ app) {
   });
   const choices = ROTATIONS.map(([value, title, help]) =>
     h(
-      "label",
-      { class: "choice" },
+      "label.choice",
       h("input", {
         type: "radio",
         name: "rotation",
@@ -228,7 +220,7 @@ export function createProject(/** @type {App} */ app) {
         checked: value === "auto",
         "data-testid": `rotation-${value}`,
       }),
-      h("span", {}, h("strong", {}, title), h("span", { class: "help" }, help)),
+      h("span", h("strong", title), h("span.help", help)),
     ),
   );
   return openDialog({
@@ -236,24 +228,18 @@ export function createProject(/** @type {App} */ app) {
     testid: "new-project-dialog",
     content: [
       h(
-        "label",
-        { class: "field" },
-        h("span", {}, "Name"),
+        "label.field",
+        h("span", "Name"),
         name,
-        h("span", { class: "help" }, "Letters, digits, '-' and '_'. The project's folder gets this name."),
+        h("span.help", "Letters, digits, '-' and '_'. The project's folder gets this name."),
       ),
       h(
-        "label",
-        { class: "field" },
-        h("span", {}, "Classes"),
+        "label.field",
+        h("span", "Classes"),
         classes,
-        h(
-          "span",
-          { class: "help" },
-          "Separated by commas. The first nine get the keys 1 to 9. You can add more later.",
-        ),
+        h("span.help", "Separated by commas. The first nine get the keys 1 to 9. You can add more later."),
       ),
-      h("fieldset", { class: "choices" }, h("legend", { class: "field-label" }, "Rotation of boxes"), choices),
+      h("fieldset.choices", h("legend.field-label", "Rotation of boxes"), choices),
     ],
     actions: [
       { label: "Cancel", value: "cancel" },

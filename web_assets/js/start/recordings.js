@@ -19,7 +19,7 @@ const CAMERAS = [
 
 /** Shows the folders until it is closed, so that several recordings can be added. */
 export function addRecordings(/** @type {App} */ app, /** @type {string} */ project) {
-  const done = h("div", { class: "added", role: "status" });
+  const done = h("div.added", { role: "status" });
   const labels = h("input", { type: "checkbox", checked: true, "data-testid": "own-labels" });
   const cameras = h(
     "select",
@@ -46,8 +46,8 @@ export function addRecordings(/** @type {App} */ app, /** @type {string} */ proj
     wide: true,
     content: [
       ...folders.nodes,
-      h("label", { class: "row" }, labels, "Import the 3D boxes of the recording, if it has any"),
-      h("label", { class: "row" }, "Cameras", cameras),
+      h("label.row", labels, "Import the 3D boxes of the recording, if it has any"),
+      h("label.row", "Cameras", cameras),
       done,
     ],
     actions: [{ label: "Done", value: "done" }],
@@ -100,15 +100,15 @@ async function add(app, { project, done, labels, cameras }, entry, button, again
           : /** @type {const} */ (["check", ""]);
         return [
           h("p", { class: look, "data-testid": "added-recording" }, glyph(icon), describe(one)),
-          ...one.broken.map((text) => h("p", { class: "help", "data-testid": "broken-frames" }, text)),
+          ...one.broken.map((text) => h("p.help", { "data-testid": "broken-frames" }, text)),
         ];
       }),
     );
     if (added.some((one) => one.can_leave_out)) done.append(leaveOut("Leave these frames out", { labels: false }));
     const notes = new Set(added.flatMap((one) => one.notes));
-    done.append(...[...notes].map((text) => h("p", { class: "help", "data-testid": "reader-note" }, text)));
+    done.append(...[...notes].map((text) => h("p.help", { "data-testid": "reader-note" }, text)));
     if (job) done.append(jobLine(app, job));
-    if (note) done.append(h("p", { class: "error-box", role: "alert", "data-testid": "recording-note" }, note));
+    if (note) done.append(h("p.error-box", { role: "alert", "data-testid": "recording-note" }, note));
     // adding it again starts the job that could not be started, or adds other topics
     const isOpen = Boolean(note) || isBag;
     button.textContent = isOpen ? "Add" : "Added";
@@ -126,7 +126,7 @@ async function add(app, { project, done, labels, cameras }, entry, button, again
       button.textContent = "Added";
       button.disabled = true;
     } else {
-      done.append(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
+      done.append(h("p.error-box", { role: "alert" }, messageOf(error)));
       if (error instanceof ApiError && error.kind === "BrokenStartError")
         done.append(leaveOut("Try all frames, and leave out those that cannot be read", {}));
     }
@@ -145,8 +145,8 @@ function askMoved(
     title: `${moved.name} has moved`,
     testid: "moved-dialog",
     content: [
-      h("p", {}, `${entry.name} has the frames of the recording ${moved.name}, whose folder was not found.`),
-      h("p", { class: "help" }, "With the new path, its labels stay. Another recording begins without them."),
+      h("p", `${entry.name} has the frames of the recording ${moved.name}, whose folder was not found.`),
+      h("p.help", "With the new path, its labels stay. Another recording begins without them."),
     ],
     actions: [
       { label: "Cancel", value: "cancel" },
@@ -206,8 +206,7 @@ export function locateRecording(
     wide: true,
     content: [
       h(
-        "p",
-        { class: "help" },
+        "p.help",
         "Its folder was moved. Boxes and labels are kept, and are shown again when you choose the new folder.",
       ),
       ...folders.nodes,
@@ -231,13 +230,13 @@ export function locateRecording(
 
 /** Shows the recordings until the dialog is closed. */
 export async function manageRecordings(/** @type {App} */ app, /** @type {string} */ project) {
-  const list = h("ul", { class: "recordings", role: "status" });
+  const list = h("ul.recordings", { role: "status" });
   const path = (/** @type {(string | number)[]} */ ...parts) => projectPath(project, "recordings", ...parts);
 
   async function show(/** @type {Promise<Api.ListedRecording[]>} */ answer) {
     try {
       const recordings = await answer;
-      patch(list, recordings.length ? recordings.map(row) : h("li", { class: "muted" }, "No recording yet"));
+      patch(list, recordings.length ? recordings.map(row) : h("li.muted", "No recording yet"));
     } catch (error) {
       app.toast(error);
     }
@@ -249,10 +248,10 @@ export async function manageRecordings(/** @type {App} */ app, /** @type {string
     const numbers = [...(isGone ? [] : [count(frames, "frame")]), count(labels, "label")].join(", ");
     const states = [...(isGone ? [`removed by ${removed_by}`] : []), ...(missing ? ["its folder was not found"] : [])];
     return h(
-      "li",
-      { class: "row", "data-testid": `recording-${name}`, "data-key": id },
+      "li.row",
+      { "data-testid": `recording-${name}`, "data-key": id },
       h("span", { class: `grow ellipsis${isGone ? " muted" : ""}`, title: name }, name),
-      h("span", { class: "muted number" }, numbers),
+      h("span.muted.number", numbers),
       h("span", { class: missing ? "bad" : "muted" }, states.join("; ")),
       missing && button("Locate …", () => locate(recording), { "data-testid": "locate" }),
       isGone &&
@@ -293,7 +292,7 @@ export async function manageRecordings(/** @type {App} */ app, /** @type {string
  *     opens a folder; "" lists the server's folders.
  */
 export function createFolders(app, options) {
-  const crumbs = h("nav", { class: "crumbs grow", "aria-label": "Folder" });
+  const crumbs = h("nav.crumbs.grow", { "aria-label": "Folder" });
   const typed = h("input", {
     placeholder: "or type a path, then Enter",
     "aria-label": "Path of a folder or recording on the server",
@@ -311,7 +310,7 @@ export function createFolders(app, options) {
       );
     },
   });
-  const list = h("ul", { class: "folders", "data-testid": "folders", tabindex: -1 });
+  const list = h("ul.folders", { "data-testid": "folders", tabindex: -1 });
 
   let asked = 0;
 
@@ -337,11 +336,11 @@ export function createFolders(app, options) {
       if (document.activeElement !== typed) list.focus();
     } catch (error) {
       if (own !== asked) return;
-      list.replaceChildren(h("li", { class: "error-box", role: "alert" }, messageOf(error)));
+      list.replaceChildren(h("li.error-box", { role: "alert" }, messageOf(error)));
     }
   }
 
-  return { nodes: [h("div", { class: "row" }, crumbs, typed), list], show };
+  return { nodes: [h("div.row", crumbs, typed), list], show };
 }
 
 /** What is not listed, and what to look for where there is no recording. */
@@ -352,25 +351,24 @@ function explain(
   /** @type {string[]} */ kinds,
 ) {
   /** @type {HTMLElement[]} */
-  const lines = notes.map((text) => h("p", {}, `${text[0].toUpperCase()}${text.slice(1)}.`));
+  const lines = notes.map((text) => h("p", `${text[0].toUpperCase()}${text.slice(1)}.`));
   if (!hasAny && !notes.length)
     lines.push(
-      h("p", {}, path ? "This folder is empty." : "This server offers no folder. Whoever runs it can offer some."),
+      h("p", path ? "This folder is empty." : "This server offers no folder. Whoever runs it can offer some."),
     );
   if (kinds.length)
     lines.push(
       h(
         "details",
         { open: !hasAny },
-        h("summary", {}, "What a recording must have"),
+        h("summary", "What a recording must have"),
         h(
           "ul",
-          {},
-          kinds.map((text) => h("li", {}, text)),
+          kinds.map((text) => h("li", text)),
         ),
       ),
     );
-  return lines.length ? [h("li", { class: "help", "data-testid": "folder-notes" }, lines)] : [];
+  return lines.length ? [h("li.help", { "data-testid": "folder-notes" }, lines)] : [];
 }
 
 function makeCrumbs(/** @type {string} */ path, /** @type {(path: string) => void} */ show) {
@@ -379,7 +377,7 @@ function makeCrumbs(/** @type {string} */ path, /** @type {(path: string) => voi
     button(text, () => show(target), { class: "quiet" });
   return [
     step("Folders", ""),
-    ...parts.flatMap((part, i) => [h("span", { class: "muted" }, "/"), step(part, parts.slice(0, i + 1).join("/"))]),
+    ...parts.flatMap((part, i) => [h("span.muted", "/"), step(part, parts.slice(0, i + 1).join("/"))]),
   ];
 }
 
@@ -388,19 +386,13 @@ function makeEntry(
   /** @type {(path: string) => void} */ show,
   /** @type {Picker} */ { text, testid, onPick },
 ) {
-  const name = h("span", { class: "grow ellipsis", title: entry.name }, entry.name);
+  const name = h("span.grow.ellipsis", { title: entry.name }, entry.name);
   const openButton = button([glyph("folder"), name], () => show(entry.path), {
     class: "quiet entry",
     "data-testid": `folder-${entry.name}`,
   });
-  if (entry.recording === null) return h("li", {}, openButton);
+  if (entry.recording === null) return h("li", openButton);
   /** @type {HTMLButtonElement} */
   const pick = button(text, () => onPick(entry, pick), { class: "primary", "data-testid": `${testid}-${entry.name}` });
-  return h(
-    "li",
-    { class: "entry recording" },
-    entry.is_folder ? openButton : name,
-    h("span", { class: "chip format" }, entry.recording),
-    pick,
-  );
+  return h("li.entry.recording", entry.is_folder ? openButton : name, h("span.chip.format", entry.recording), pick);
 }

@@ -14,7 +14,7 @@ import { addRecordings, locateRecording } from "./recordings.js";
 const STATES = ["proposed", "accepted", "edited", "rejected"];
 
 export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
-  const list = h("div", { class: "projects", "aria-live": "polite" });
+  const list = h("div.projects", { "aria-live": "polite" });
   /** @type {JobLine[]} */
   let lines = [];
   /** The projects whose cards are shown, as text. */
@@ -29,12 +29,11 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
   let sample = "";
   const removed = createRemoved(app, refresh);
   const page = h(
-    "div",
-    { class: "page start" },
-    h("div", { class: "row" }, h("h1", { class: "grow" }, "Projects"), sampleButton(), newButton()),
+    "div.page.start",
+    h("div.row", h("h1.grow", "Projects"), sampleButton(), newButton()),
     list,
     removed.root,
-    h("p", { class: "help" }, app.state.version ? `annotator ${app.state.version}` : ""),
+    h("p.help", app.state.version ? `annotator ${app.state.version}` : ""),
   );
 
   function newButton() {
@@ -144,18 +143,18 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
     } catch (error) {
       shown = "";
       const retry = button("Try again", refresh);
-      list.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error)), h("div", {}, retry));
+      list.replaceChildren(h("p.error-box", { role: "alert" }, messageOf(error)), h("div", retry));
     }
   }
 
   function nothing() {
     return h(
-      "div",
-      { class: "panel empty", "data-testid": "no-projects" },
-      h("h2", {}, "No project yet"),
-      h("p", {}, "A project has recordings, their labels, and the detectors that are trained on them."),
-      h("p", {}, "The sample takes some seconds, and leads through the first box: drag, take, follow, export."),
-      h("div", { class: "row" }, sampleButton(), newButton()),
+      "div.panel.empty",
+      { "data-testid": "no-projects" },
+      h("h2", "No project yet"),
+      h("p", "A project has recordings, their labels, and the detectors that are trained on them."),
+      h("p", "The sample takes some seconds, and leads through the first box: drag, take, follow, export."),
+      h("div.row", sampleButton(), newButton()),
     );
   }
 
@@ -200,17 +199,13 @@ function card(project, { add, addBoxes, locate, change, line, menu }) {
   const { name, problem } = project;
   const labels = project.labels_by_state;
   const title = problem
-    ? h("h2", { class: "ellipsis" }, name)
-    : h(
-        "h2",
-        { class: "ellipsis" },
-        h("a", { href: makeHash(name, "annotate"), "data-testid": `open-${name}` }, name),
-      );
-  const box = h("section", { class: "panel project", "data-testid": `project-${name}`, "aria-label": name }, [
-    h("div", { class: "row" }, h("span", { class: "grow ellipsis" }, title), menu),
+    ? h("h2.ellipsis", name)
+    : h("h2.ellipsis", h("a", { href: makeHash(name, "annotate"), "data-testid": `open-${name}` }, name));
+  const box = h("section.panel.project", { "data-testid": `project-${name}`, "aria-label": name }, [
+    h("div.row", h("span.grow.ellipsis", title), menu),
   ]);
   if (problem) {
-    box.append(h("p", { class: "error-box" }, problem));
+    box.append(h("p.error-box", problem));
     return box;
   }
   const isEmpty = project.recordings === 0;
@@ -228,24 +223,22 @@ function card(project, { add, addBoxes, locate, change, line, menu }) {
   box.prepend(picture(project));
   box.append(
     h(
-      "p",
-      { class: "classes" },
-      project.classes.map((label) => h("span", { class: "chip" }, label)),
+      "p.classes",
+      project.classes.map((label) => h("span.chip", label)),
       iconButton("edit", `Change the classes and attributes of ${name}`, () => change(name), {
         "data-testid": `edit-classes-${name}`,
       }),
     ),
     h(
-      "p",
-      { class: "number muted" },
+      "p.number.muted",
       isEmpty ? "No recording yet: add one to begin." : `${count(project.recordings, "recording")}, ${done}`,
     ),
     h("progress", { max: project.frames || 1, value: project.frames_done, "aria-label": done, title: done }),
-    h("p", { class: "number states" }, stateCounts(labels)),
+    h("p.number.states", stateCounts(labels)),
     ...project.missing.map((recording) => missing(recording, () => locate(name, recording))),
     line,
-    h("div", { class: "row next" }, next && link(name, next.mode, next.text)),
-    h("div", { class: "row" }, addButton, boxesButton),
+    h("div.row.next", next && link(name, next.mode, next.text)),
+    h("div.row", addButton, boxesButton),
   );
   return box;
 }
@@ -265,7 +258,7 @@ export function nextStep(
 
 /** The first frame of a project; its place stays where there is none. */
 function picture(/** @type {Api.ProjectSummary} */ { name, first_frame }) {
-  const frame = h("a", { class: "picture", href: makeHash(name, "annotate"), tabindex: -1, "aria-hidden": "true" });
+  const frame = h("a.picture", { href: makeHash(name, "annotate"), tabindex: -1, "aria-hidden": "true" });
   if (first_frame === null) return frame;
   const src = `${projectPath(name, "frames", first_frame)}/image.jpg?width=320`;
   // a frame that cannot be read has none
@@ -282,21 +275,16 @@ function picture(/** @type {Api.ProjectSummary} */ { name, first_frame }) {
 
 function missing(/** @type {Api.MissingRecording} */ { name }, /** @type {() => void} */ onLocate) {
   const locate = button("Locate …", onLocate, { "data-testid": `locate-${name}` });
-  return h(
-    "div",
-    { class: "row missing" },
-    h("span", { class: "grow bad" }, `${name}: its folder was not found`),
-    locate,
-  );
+  return h("div.row.missing", h("span.grow.bad", `${name}: its folder was not found`), locate);
 }
 
 function link(/** @type {string} */ name, /** @type {string} */ mode, /** @type {string} */ text) {
-  return h("a", { class: "button primary-link", href: makeHash(name, mode), "data-testid": `next-${name}` }, text);
+  return h("a.button.primary-link", { href: makeHash(name, mode), "data-testid": `next-${name}` }, text);
 }
 
 function stateCounts(/** @type {Record<string, number>} */ labels) {
   const known = STATES.filter((state) => labels[state] > 0);
-  if (!known.length) return [h("span", { class: "muted" }, "no labels")];
+  if (!known.length) return [h("span.muted", "no labels")];
   return known.map((state) =>
     h("span", { class: `state-${state}` }, `${labels[state].toLocaleString("en")} ${state}`),
   );

@@ -28,10 +28,8 @@ const CHOICES = [
  */
 export async function chooseTopics(/** @type {App} */ app, /** @type {Api.FolderEntry} */ entry) {
   const selects = CHOICES.map(({ id }) => h("select", { "data-testid": `topic-${id}`, onchange: () => void show() }));
-  const rows = CHOICES.map(({ label }, index) =>
-    h("label", { class: "row bag-topic" }, h("span", {}, label), selects[index]),
-  );
-  const preview = h("figure", { class: "bag-preview", role: "status" });
+  const rows = CHOICES.map(({ label }, index) => h("label.row.bag-topic", h("span", label), selects[index]));
+  const preview = h("figure.bag-preview", { role: "status" });
   /** @type {Api.BagPreview | null} */
   let bag = null;
   let asked = 0;
@@ -52,7 +50,7 @@ export async function chooseTopics(/** @type {App} */ app, /** @type {Api.Folder
     const chosen = options();
     asked += 1;
     const mine = asked;
-    preview.replaceChildren(h("figcaption", { class: "muted" }, "Reading the first frame …"));
+    preview.replaceChildren(h("figcaption.muted", "Reading the first frame …"));
     try {
       const query = new URLSearchParams({ path: entry.path, ...chosen });
       /** @type {Api.BagPreview} */
@@ -63,7 +61,7 @@ export async function chooseTopics(/** @type {App} */ app, /** @type {Api.Folder
       preview.replaceChildren(...describe(answer));
     } catch (error) {
       if (mine !== asked) return;
-      preview.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
+      preview.replaceChildren(h("p.error-box", { role: "alert" }, messageOf(error)));
     }
   }
 
@@ -117,11 +115,11 @@ function describe(/** @type {Api.BagPreview} */ { frames, notes, problem, pictur
         options.reduce((one, flag) => one.replace(new RegExp(`${flag}(?!-)`, "g"), label), message),
       problem,
     );
-    return [h("p", { class: "error-box", role: "alert", "data-testid": "topics-problem" }, text)];
+    return [h("p.error-box", { role: "alert", "data-testid": "topics-problem" }, text)];
   }
   return [
     h("img", { src: picture, alt: "The first frame with its points, near ones red", "data-testid": "topics-preview" }),
-    h("figcaption", {}, `${count(frames, "frame")}. The first one, with its points: near ones red, far ones blue.`),
-    ...notes.map((note) => h("p", { class: "help" }, note)),
+    h("figcaption", `${count(frames, "frame")}. The first one, with its points: near ones red, far ones blue.`),
+    ...notes.map((note) => h("p.help", note)),
   ];
 }

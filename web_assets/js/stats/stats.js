@@ -29,25 +29,24 @@ const ORIGINS = {
 const ALWAYS = ["proposal accepted untouched", "proposal edited", "from nothing"];
 
 export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
-  const tiles = h("div", { class: "tiles", "data-testid": "stats-tiles" });
-  const secondsHost = h("div", { class: "chart" });
-  const actionsHost = h("div", { class: "chart" });
-  const stateHost = h("div", { class: "chart" });
-  const tables = h("div", { class: "stack" });
+  const tiles = h("div.tiles", { "data-testid": "stats-tiles" });
+  const secondsHost = h("div.chart");
+  const actionsHost = h("div.chart");
+  const stateHost = h("div.chart");
+  const tables = h("div.stack");
   const chartsBox = h(
-    "div",
-    { class: "charts three" },
-    h("figure", {}, h("figcaption", {}, "Seconds per box, by origin"), secondsHost),
-    h("figure", {}, h("figcaption", {}, "Actions per box"), actionsHost),
-    h("figure", {}, h("figcaption", {}, "Boxes by class and state"), stateHost),
+    "div.charts.three",
+    h("figure", h("figcaption", "Seconds per box, by origin"), secondsHost),
+    h("figure", h("figcaption", "Actions per box"), actionsHost),
+    h("figure", h("figcaption", "Boxes by class and state"), stateHost),
   );
-  const chartsPanel = h("section", { class: "panel" }, h("div", { class: "body" }, chartsBox));
+  const chartsPanel = h("section.panel", h("div.body", chartsBox));
   const work = createWork();
   root.append(
     h(
-      "div",
-      { class: "page wide", "data-testid": "statistics" },
-      h("h1", {}, "Statistics"),
+      "div.page.wide",
+      { "data-testid": "statistics" },
+      h("h1", "Statistics"),
       tiles,
       work.element,
       chartsPanel,
@@ -74,7 +73,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     try {
       fresh = await app.api.get(app.path("statistics"));
     } catch (error) {
-      if (!ended) patch(tiles, h("p", { class: "error-box", role: "alert" }, messageOf(error)));
+      if (!ended) patch(tiles, h("p.error-box", { role: "alert" }, messageOf(error)));
       return;
     } finally {
       restsUntilMs = performance.now() + REST * (performance.now() - beganMs);
@@ -134,13 +133,7 @@ function tilesOf(
     ["IoU of proposal and final box", number(iou_proposal_to_final, 2), "mean 3D overlap; 1 = same box"],
     ["Work left", duration(hours_left?.expected), left],
   ].map(([name, value, help]) =>
-    h(
-      "div",
-      { class: "tile" },
-      h("div", { class: "tile-name" }, name),
-      h("div", { class: "tile-value number" }, value),
-      h("div", { class: "muted" }, help),
-    ),
+    h("div.tile", h("div.tile-name", name), h("div.tile-value.number", value), h("div.muted", help)),
   );
 }
 
@@ -281,10 +274,9 @@ const sum = (/** @type {number[]} */ values) => values.reduce((total, value) => 
 
 function nothingYet(/** @type {ModeApp} */ app) {
   return h(
-    "div",
-    { class: "empty" },
-    h("h2", {}, "No boxes yet"),
-    h("p", {}, "The numbers are shown once objects are labelled or proposed."),
-    h("a", { class: "button", href: makeHash(app.state.route.project, "annotate") }, "Label objects"),
+    "div.empty",
+    h("h2", "No boxes yet"),
+    h("p", "The numbers are shown once objects are labelled or proposed."),
+    h("a.button", { href: makeHash(app.state.route.project, "annotate") }, "Label objects"),
   );
 }

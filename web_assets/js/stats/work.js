@@ -17,14 +17,13 @@ export function createWork() {
     /** @type {string} */ testid,
     /** @type {(progress: Api.Progress, colors: Record<string, string>) => Chart} */ make,
   ) => {
-    const host = h("div", { class: "chart", "data-testid": testid });
+    const host = h("div.chart", { "data-testid": testid });
     const chart = createChart(host, (colors) => (known ? make(known, colors) : { traces: [], layout: {} }));
     drawn.push(chart);
-    return h("figure", {}, h("figcaption", {}, title), host);
+    return h("figure", h("figcaption", title), host);
   };
   const charts = h(
-    "div",
-    { class: "charts three" },
+    "div.charts.three",
     figure("Boxes labelled per day", "work-days", dayChart),
     figure("Seconds per box, as work went on", "work-seconds", (progress, colors) =>
       paceChart(progress, "seconds_a_box", colors.accent),
@@ -36,7 +35,7 @@ export function createWork() {
     figure("IoU of proposal and final box, by distance", "work-ranges", rangeChart),
     figure("What became of proposals, by class", "work-classes", classChart),
   );
-  const element = h("section", { class: "panel", hidden: true }, h("div", { class: "body" }, charts));
+  const element = h("section.panel", { hidden: true }, h("div.body", charts));
 
   return {
     element,

@@ -16,13 +16,13 @@ const NAMES = {
 };
 
 export function createCurves(/** @type {HTMLElement} */ host) {
-  const quality = h("div", { class: "chart", "data-testid": "curves-quality" });
-  const losses = h("div", { class: "chart", "data-testid": "curves-losses" });
+  const quality = h("div.chart", { "data-testid": "curves-quality" });
+  const losses = h("div.chart", { "data-testid": "curves-losses" });
   const box = h(
-    "div",
-    { class: "charts", hidden: true },
-    h("figure", {}, h("figcaption", {}, "Quality on validation pictures"), quality),
-    h("figure", {}, h("figcaption", {}, "Training losses"), losses),
+    "div.charts",
+    { hidden: true },
+    h("figure", h("figcaption", "Quality on validation pictures"), quality),
+    h("figure", h("figcaption", "Training losses"), losses),
   );
   host.append(box);
   /** @type {Api.CurvePoint[]} */

@@ -19,10 +19,10 @@ export function createModelList(
   /** @type {App} */ app,
   /** @type {() => Promise<void>} */ reload,
 ) {
-  const pictures = h("div", { class: "thumbs", "data-testid": "validation-pictures" });
-  const table = h("div", { class: "scroll-x" });
-  const body = h("div", { class: "body stack" }, pictures, table);
-  host.append(h("header", {}, h("h2", {}, "Models")), body);
+  const pictures = h("div.thumbs", { "data-testid": "validation-pictures" });
+  const table = h("div.scroll-x");
+  const body = h("div.body.stack", pictures, table);
+  host.append(h("header", h("h2", "Models")), body);
   /** @type {number | null} */
   let shown = null;
 
@@ -54,7 +54,7 @@ export function createModelList(
     return h(
       "tr",
       { "data-testid": "base-row", "data-active": String(isUsed), class: isUsed ? "active" : "" },
-      h("td", {}, ROLES.view),
+      h("td", ROLES.view),
       h(
         "td",
         { colspan: COLUMNS.length + 4, class: "muted" },
@@ -62,12 +62,11 @@ export function createModelList(
       ),
       h(
         "td",
-        {},
         isUsed
-          ? h("span", { class: "chip state-accepted" }, "in use")
+          ? h("span.chip.state-accepted", "in use")
           : button("Use this one", () => activate("base", "The base detector"), { "data-testid": "use-base" }),
       ),
-      h("td", {}),
+      h("td"),
     );
   }
 
@@ -82,26 +81,24 @@ export function createModelList(
         "data-active": String(model.active),
         class: model.active ? "active" : "",
       },
-      h("td", {}, ROLES[model.role] ?? model.role),
-      h("td", { class: "number" }, made.toLocaleString([], { dateStyle: "medium", timeStyle: "short" })),
-      h("td", { class: "number" }, model.boxes === null ? "–" : count(model.boxes, "box", "boxes")),
+      h("td", ROLES[model.role] ?? model.role),
+      h("td.number", made.toLocaleString([], { dateStyle: "medium", timeStyle: "short" })),
+      h("td.number", model.boxes === null ? "–" : count(model.boxes, "box", "boxes")),
       COLUMNS.map(([name]) =>
         h(
-          "td",
-          { class: "number" },
+          "td.number",
           model.metrics[name] === undefined || model.metrics[name] === null ? "–" : model.metrics[name].toFixed(3),
         ),
       ),
-      h("td", { class: "number", title: comparison(model), "data-testid": "held-out" }, heldOut(model)),
-      h("td", {}, model.box_kind === "box" ? "the whole object" : "the visible part"),
+      h("td.number", { title: comparison(model), "data-testid": "held-out" }, heldOut(model)),
+      h("td", model.box_kind === "box" ? "the whole object" : "the visible part"),
       h(
         "td",
-        {},
         model.active
-          ? h("span", { class: "chip state-accepted" }, "in use")
+          ? h("span.chip.state-accepted", "in use")
           : button("Use this one", () => use(model), { "data-testid": "use-model" }),
       ),
-      h("td", {}, model.pictures.length ? button("Pictures", () => choose(model), { class: "quiet" }) : null),
+      h("td", model.pictures.length ? button("Pictures", () => choose(model), { class: "quiet" }) : null),
     );
   }
 
@@ -117,13 +114,11 @@ export function createModelList(
     patch(
       pictures,
       h(
-        "p",
-        { class: "muted" },
+        "p.muted",
         `What the ${model.role} detector was not trained on: white boxes are the given ones, coloured ones what it finds.`,
       ),
       h(
-        "div",
-        { class: "row thumbs-row" },
+        "div.row.thumbs-row",
         model.pictures.map((url, i) =>
           button(h("img", { src: url, alt: "", loading: "lazy" }), () => enlarge(url, i), {
             class: "thumb",
@@ -139,7 +134,7 @@ export function createModelList(
     show(/** @type {Api.ModelList} */ { models, base }) {
       if (models.length === 0 && !base) {
         pictures.hidden = true;
-        patch(table, h("p", { class: "muted" }, "No model has been trained yet."));
+        patch(table, h("p.muted", "No model has been trained yet."));
         return;
       }
       const newest = models.toSorted((a, b) => b.created_ns - a.created_ns);
@@ -156,20 +151,17 @@ export function createModelList(
       patch(
         table,
         h(
-          "table",
-          { class: "dense models" },
+          "table.dense.models",
           h(
             "thead",
-            {},
             h(
               "tr",
-              {},
               heads.map((text) =>
                 h("th", { scope: "col", title: text === "Held-out IoU" ? HELD_OUT_HELP : null }, text),
               ),
             ),
           ),
-          h("tbody", {}, newest.map(row), base ? baseRow(base) : null),
+          h("tbody", newest.map(row), base ? baseRow(base) : null),
         ),
         ...Object.keys(ROLES).map((each) =>
           decisionLine(newest.find(({ role, decision }) => role === each && decision)),
@@ -192,11 +184,7 @@ function decisionLine(/** @type {Api.ModelDetails | undefined} */ model) {
   const figures = decision.compared.map(({ name, mean_iou }) => `${name} ${mean_iou.toFixed(2)}`);
   if (decision.mean_iou !== null) figures.unshift(`newest detector ${decision.mean_iou.toFixed(2)}`);
   const measured = figures.length ? ` Mean IoU on held-out frames: ${figures.join(", ")}.` : "";
-  return h(
-    "p",
-    { class: "muted", "data-testid": "decision" },
-    `Latest ${model.role} detector: ${decision.outcome}.${measured}`,
-  );
+  return h("p.muted", { "data-testid": "decision" }, `Latest ${model.role} detector: ${decision.outcome}.${measured}`);
 }
 
 /** What a model was compared with, and the outcome. */

@@ -11,7 +11,7 @@ export function createPropose(/** @type {HTMLElement} */ host, /** @type {ModeAp
   const liftLine = createJobLine(app, "lift");
   const boxesLine = createJobLine(app, "boxes");
   const importButton = button("Import boxes …", () => void addBoxes(), { "data-testid": "import-boxes" });
-  const choices = h("div", { class: "choices-list", role: "group", "aria-label": "Recordings" });
+  const choices = h("div.choices-list", { role: "group", "aria-label": "Recordings" });
   const limit = remembered(
     `propose ${app.state.route.project} limit`,
     h("input", {
@@ -24,32 +24,25 @@ export function createPropose(/** @type {HTMLElement} */ host, /** @type {ModeAp
     }),
   );
   const start = h("button", { type: "submit", class: "primary", "data-testid": "propose-start" }, "Propose");
-  const note = h("p", { class: "help" });
-  const problem = h("p", { class: "error-box", role: "alert", hidden: true });
-  const review = h("a", { class: "button primary-link", "data-testid": "review-proposals" });
+  const note = h("p.help");
+  const problem = h("p.error-box", { role: "alert", hidden: true });
+  const review = h("a.button.primary-link", { "data-testid": "review-proposals" });
   const form = h(
-    "form",
-    { class: "stack", "data-testid": "propose-form" },
+    "form.stack",
+    { "data-testid": "propose-form" },
     choices,
-    h(
-      "div",
-      { class: "row" },
-      h("label", { class: "row" }, "At most", limit, "frames"),
-      note,
-      h("span", { class: "grow" }),
-      start,
-    ),
+    h("div.row", h("label.row", "At most", limit, "frames"), note, h("span.grow"), start),
     problem,
   );
-  const liftText = h("span", { class: "grow" });
+  const liftText = h("span.grow");
   const liftStart = button("Propose 3D boxes from these", () => void startLift(), {
     class: "primary",
     "data-testid": "lift-start",
   });
-  const lift = h("div", { class: "row", hidden: true, "data-testid": "lift" }, liftText, liftStart);
+  const lift = h("div.row", { hidden: true, "data-testid": "lift" }, liftText, liftStart);
   host.append(
-    h("header", {}, h("h2", {}, "Propose boxes"), h("span", { class: "grow" }), importButton, review),
-    h("div", { class: "body stack" }, boxesLine.root, lift, liftLine.root, form, line.root),
+    h("header", h("h2", "Propose boxes"), h("span.grow"), importButton, review),
+    h("div.body.stack", boxesLine.root, lift, liftLine.root, form, line.root),
   );
   let toLift = 0;
   const boxes = new Map();
@@ -110,15 +103,7 @@ export function createPropose(/** @type {HTMLElement} */ host, /** @type {ModeAp
       if (boxes.has(id)) continue;
       const box = h("input", { type: "checkbox", checked: true });
       boxes.set(id, box);
-      choices.append(
-        h(
-          "label",
-          { class: "row" },
-          box,
-          h("span", { class: "ellipsis" }, name),
-          h("span", { class: "muted number" }, count(frames, "frame")),
-        ),
-      );
+      choices.append(h("label.row", box, h("span.ellipsis", name), h("span.muted.number", count(frames, "frame"))));
     }
     line.show();
     showLift(project);

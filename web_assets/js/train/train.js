@@ -18,12 +18,12 @@ const ROLES = [
 ];
 
 export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
-  const material = h("div", { class: "cards" });
+  const material = h("div.cards");
   const line = createJobLine(app, "train");
-  const curvesHost = h("div", {});
+  const curvesHost = h("div");
   const curves = createCurves(curvesHost);
-  const modelsHost = h("section", { class: "panel" });
-  const proposeHost = h("section", { class: "panel" });
+  const modelsHost = h("section.panel");
+  const proposeHost = h("section.panel");
   const models = createModelList(modelsHost, app, load);
   const propose = createPropose(proposeHost, app);
   const { form, start } = createForm(app);
@@ -34,14 +34,12 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
 
   root.append(
     h(
-      "div",
-      { class: "page wide train-page" },
-      h("h1", {}, "Train and propose"),
+      "div.page.wide.train-page",
+      h("h1", "Train and propose"),
       h(
-        "section",
-        { class: "panel" },
-        h("header", {}, h("h2", {}, "Train the detectors")),
-        h("div", { class: "body stack" }, material, form, learning.root, line.root, curvesHost),
+        "section.panel",
+        h("header", h("h2", "Train the detectors")),
+        h("div.body.stack", material, form, learning.root, line.root, curvesHost),
       ),
       proposeHost,
       modelsHost,
@@ -161,18 +159,16 @@ function createLearning(/** @type {ModeApp} */ app) {
   for (const field of [box, every, minutes])
     field.addEventListener("change", () => (box.checked || field === box) && store());
   const root = h(
-    "div",
-    { class: "stack", "data-testid": "learning" },
+    "div.stack",
+    { "data-testid": "learning" },
     h(
-      "div",
-      { class: "row" },
-      h("label", { class: "row" }, box, "Learn while I label"),
-      h("label", { class: "row" }, "after every", every, "reviewed boxes,"),
-      h("label", { class: "row" }, "for", minutes, "minutes"),
+      "div.row",
+      h("label.row", box, "Learn while I label"),
+      h("label.row", "after every", every, "reviewed boxes,"),
+      h("label.row", "for", minutes, "minutes"),
     ),
     h(
-      "p",
-      { class: "help" },
+      "p.help",
       "Trains the view detector in the background, while a page has this project open. It waits while you draw and ",
       "stops for other jobs. A detector that is better on held-out frames is used at once.",
     ),
@@ -222,21 +218,16 @@ function createForm(/** @type {ModeApp} */ app) {
     ),
   );
   const start = h("button", { type: "submit", class: "primary", "data-testid": "train-start" }, "Train");
-  const problem = h("p", { class: "error-box", role: "alert", hidden: true });
+  const problem = h("p.error-box", { role: "alert", hidden: true });
   const more = h(
     "details",
-    {},
-    h("summary", {}, "Settings"),
+    h("summary", "Settings"),
     h(
-      "div",
-      { class: "settings" },
-      ROLES.map(([, label], i) =>
-        h("label", { class: "field" }, h("span", {}, `${label}: longer side, px`), sizes[i]),
-      ),
-      h("label", { class: "field" }, h("span", {}, "Network"), model),
+      "div.settings",
+      ROLES.map(([, label], i) => h("label.field", h("span", `${label}: longer side, px`), sizes[i])),
+      h("label.field", h("span", "Network"), model),
       h(
-        "p",
-        { class: "help" },
+        "p.help",
         "Larger pictures show small objects better, and take longer. An empty field uses the number shown in grey.",
       ),
     ),
@@ -246,16 +237,14 @@ function createForm(/** @type {ModeApp} */ app) {
     // hidden until it is known that there is something to learn
     { class: "stack", hidden: true, "data-testid": "train-form" },
     h(
-      "div",
-      { class: "row" },
-      ROLES.map(([, label], i) => h("label", { class: "row" }, roles[i], label)),
-      h("label", { class: "row" }, "for", minutes, "minutes"),
-      h("span", { class: "grow" }),
+      "div.row",
+      ROLES.map(([, label], i) => h("label.row", roles[i], label)),
+      h("label.row", "for", minutes, "minutes"),
+      h("span.grow"),
       start,
     ),
     h(
-      "p",
-      { class: "help" },
+      "p.help",
       "More minutes train better. They are those of the view detector; the image detector learns longer with them. A ",
       "fifth of the frames is never trained on: a detector that is worse on these than the one in use, or finds nothing, ",
       "is not used unless you choose it below.",
@@ -295,35 +284,30 @@ function materialCard(
   const active = models.find((model) => model.role === role && model.active);
   const learned = active ? (active.boxes === null ? "unknown" : count(active.boxes, "box", "boxes")) : "nothing yet";
   return h(
-    "div",
-    { class: "card", "data-testid": `material-${role}` },
-    h("h3", {}, label),
-    h("p", { class: "muted" }, what),
+    "div.card",
+    { "data-testid": `material-${role}` },
+    h("h3", label),
+    h("p.muted", what),
     h(
-      "dl",
-      { class: "figures" },
-      h("dt", {}, "trained on"),
-      h("dd", { class: "number" }, learned),
-      h("dt", {}, "available now"),
+      "dl.figures",
+      h("dt", "trained on"),
+      h("dd.number", learned),
+      h("dt", "available now"),
       h(
-        "dd",
-        { class: "number" },
+        "dd.number",
         `${count(material[role], "drawn box", "drawn boxes")} and `,
         count(material.labels, "reviewed 3D box", "reviewed 3D boxes"),
       ),
     ),
-    role === "view"
-      ? h("p", { class: "help" }, "Each 3D box gives several training pictures, from different directions.")
-      : null,
+    role === "view" ? h("p.help", "Each 3D box gives several training pictures, from different directions.") : null,
   );
 }
 
 function nothingYet(/** @type {ModeApp} */ app) {
   return h(
-    "div",
-    { class: "empty" },
-    h("p", {}, "There are no boxes to train on yet. Draw a few objects first; each takes five 2D boxes."),
-    h("a", { class: "button", href: `#/${encodeURIComponent(app.state.route.project)}/annotate` }, "Label objects"),
+    "div.empty",
+    h("p", "There are no boxes to train on yet. Draw a few objects first; each takes five 2D boxes."),
+    h("a.button", { href: `#/${encodeURIComponent(app.state.route.project)}/annotate` }, "Label objects"),
   );
 }
 
