@@ -475,6 +475,8 @@ type Target = { frame: number; uid: string | null };
 
 type Layout = { xaxis?: object; yaxis?: object; [name: string]: unknown };
 type Chart = { traces: object[]; layout: Layout };
+/** The theme's colours by name. */
+type Colors = Record<string, string>;
 /** The part of the library that js/charts.js uses. */
 type Plotly = {
   react(host: HTMLElement, traces: object[], layout: Layout, config: object): Promise<unknown>;

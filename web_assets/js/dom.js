@@ -61,24 +61,6 @@ function setAttribute(
 }
 
 /**
- * Shows what was typed or chosen in a field the last time, and keeps it in this browser.
- *
- * @template {HTMLInputElement | HTMLSelectElement} T
- * @param {string} key of all its fields, unique.
- * @param {T} field
- */
-export function remembered(key, field) {
-  const name = field instanceof HTMLInputElement && field.type === "checkbox" ? "checked" : "value";
-  const kept = localStorage.getItem(key);
-  const before = field.value;
-  if (kept !== null) Object.assign(field, { [name]: name === "checked" ? kept === "true" : kept });
-  // a choice that is offered no more
-  if (field instanceof HTMLSelectElement && field.selectedIndex < 0) field.value = before;
-  field.addEventListener("change", () => localStorage.setItem(key, String(Reflect.get(field, name))));
-  return field;
-}
-
-/**
  * What the elements made here do on events.
  *
  * @type {WeakMap<Node, Record<string, EventListener>>}
@@ -181,6 +163,22 @@ export function iconButton(
   return button(glyph(icon), onclick, { class: "icon quiet", title: label, "aria-label": label, ...more });
 }
 
+/** A list of texts. */
+export const bullets = (/** @type {string[]} */ texts, /** @type {Attributes} */ more = {}) =>
+  h(
+    "ul",
+    more,
+    texts.map((text) => h("li", text)),
+  );
+
+/** What a page that has nothing to show says, below a title if it has one, and a link to what to do. */
+export const nothing = (
+  /** @type {string} */ title,
+  /** @type {string} */ text,
+  /** @type {string} */ href,
+  /** @type {string} */ action,
+) => h("div.empty", title && h("h2", title), h("p", text), h("a.button", { href }, action));
+
 /** 1 -> "1 frame", 2 -> "2 frames". */
 export function count(
   /** @type {number} */ number,
@@ -189,6 +187,10 @@ export function count(
 ) {
   return `${number.toLocaleString("en")} ${number === 1 ? word : plural}`;
 }
+
+/** A time, milliseconds since 1970, as "5 Jan 2026, 12:00". */
+export const dateOf = (/** @type {number} */ ms) =>
+  new Date(ms).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
 
 /** Leaves the text or number field within `host` that has the focus, which stores what was typed in it. */
 export function leaveField(/** @type {Element} */ host = document.body) {

@@ -1,6 +1,7 @@
 /** Background jobs of the server: start, follow, stop. Several modes show them. */
 
 import { button, count, h } from "./dom.js";
+import { errorBox, showProblem } from "./forms.js";
 
 /** What a kind of job is called in a sentence. @type {Record<Api.Job["kind"], string>} */
 export const NAMES = {
@@ -14,23 +15,60 @@ export const NAMES = {
   sample: "sample project",
 };
 
-export const isActive = (/** @type {Api.Job} */ job) => job.state === "queued" || job.state === "running";
+export const isActive = (/** @type {Api.Job | null | undefined} */ job) =>
+  job?.state === "queued" || job?.state === "running";
 
-/** The newest job of a kind in the open project, or null. */
-export function latestJob(/** @type {App} */ app, /** @type {Api.Job["kind"]} */ kind) {
-  const mine = app.state.jobs.filter((job) => job.kind === kind && job.project === app.state.route.project);
-  return mine.toSorted((a, b) => b.created_ns - a.created_ns)[0] ?? null;
-}
+/** The jobs of some kinds in a project, the newest first. */
+export const jobsOf = (
+  /** @type {App} */ app,
+  /** @type {string | null} */ project,
+  /** @type {Api.Job["kind"][]} */ ...kinds
+) =>
+  app.state.jobs
+    .filter((job) => kinds.includes(job.kind) && job.project === project)
+    .toSorted((a, b) => b.created_ns - a.created_ns);
+
+/** The newest job of a kind in the open project. */
+export const latestJob = (/** @type {App} */ app, /** @type {Api.Job["kind"]} */ kind) =>
+  jobsOf(app, app.state.route.project, kind).at(0);
 
 /** Starts a job and shows it at once. */
 export async function startJob(
   /** @type {App} */ app,
   /** @type {Api.TrainRequest | Api.ProposeRequest | Api.LiftRequest | Api.ExportRequest} */ request,
 ) {
-  /** @type {Api.Job} */
-  const job = await app.api.post(app.path("jobs"), request);
-  takeJob(app, job);
-  return job;
+  takeJob(app, await app.api.post(app.path("jobs"), request));
+}
+
+/**
+ * A form that starts a job; what is wrong is said at its end.
+ *
+ * @param {App} app
+ * @param {object} options
+ * @param {string} options.name in its test ids.
+ * @param {string} options.label of the button that starts the job.
+ * @param {(start: HTMLButtonElement) => Child[]} options.content
+ * @param {() => Parameters<typeof startJob>[1]} options.request throws what is wrong with what was chosen.
+ * @param {() => unknown} options.show called afterwards, says whether the button is disabled.
+ */
+export function createJobForm(app, { name, label, content, request, show }) {
+  const start = h("button.primary", { type: "submit", "data-testid": `${name}-start` }, label);
+  const problem = errorBox();
+  const form = h("form.stack", { "data-testid": `${name}-form`, onsubmit: submit }, content(start), problem);
+
+  async function submit(/** @type {SubmitEvent} */ event) {
+    event.preventDefault();
+    showProblem(problem, null);
+    start.disabled = true;
+    try {
+      await startJob(app, request());
+    } catch (error) {
+      showProblem(problem, error);
+    }
+    show();
+  }
+
+  return { form, start };
 }
 
 export function takeJob(/** @type {App} */ app, /** @type {Api.Job} */ job) {
@@ -66,16 +104,11 @@ export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
 
   async function importRest() {
     const job = current();
-    if (!job) return;
-    try {
-      const { importLeftOut } = await import("./start/class_choice.js");
-      const begun = await importLeftOut(app, job);
-      if (!begun) return;
-      rest = begun.id;
-      takeJob(app, begun);
-    } catch (error) {
-      app.toast(error);
-    }
+    const { importLeftOut } = await import("./start/class_choice.js");
+    const begun = job && (await importLeftOut(app, job));
+    if (!begun) return;
+    rest = begun.id;
+    takeJob(app, begun);
   }
 
   async function cancel() {
@@ -84,8 +117,6 @@ export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
     stop.disabled = true;
     try {
       takeJob(app, await app.api.post(`/api/jobs/${job.id}/cancel`));
-    } catch (error) {
-      app.toast(error);
     } finally {
       stop.disabled = false;
     }
@@ -109,11 +140,16 @@ export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
       choose.hidden = !hasLeftOut || !recordings;
       stop.hidden = !isActive(job);
       bar.hidden = !isActive(job);
-      if (job.total > 0) bar.value = job.done / job.total;
-      else bar.removeAttribute("value");
+      showProgress(bar, job);
       left.textContent = job.state === "running" && job.eta_s !== null ? `about ${duration(job.eta_s)} left` : "";
     },
   };
+}
+
+/** Shows how far a job is, as far as that is known. */
+export function showProgress(/** @type {HTMLProgressElement} */ bar, /** @type {Api.Job} */ { done, total }) {
+  if (total > 0) bar.value = done / total;
+  else bar.removeAttribute("value");
 }
 
 /** What a job that waits its turn waits for, and how long that takes as far as it is known. */
@@ -139,11 +175,9 @@ function describe(/** @type {Api.Job} */ job, /** @type {Api.Job[]} */ jobs) {
 // -- jobs of the start page, which has no open project and receives no events of them
 
 /** @type {Api.Job["kind"][]} */
-const KINDS = ["import", "boxes", "copy", "sample"];
+export const KINDS = ["import", "boxes", "copy", "sample"];
 /** Such a job takes between a moment and minutes, so the interval between requests grows. */
 const WAIT_MS = { first: 700, longest: 5000, growth: 1.5 };
-
-export const isOfImport = (/** @type {Api.Job} */ { kind }) => KINDS.includes(kind);
 
 /**
  * Requests the jobs once, and then repeatedly while one of them runs.
@@ -156,7 +190,7 @@ export function followImports(app, onDone) {
   let isOver = false;
   let timer = 0;
   let waitMs = WAIT_MS.first;
-  const isImport = (/** @type {Api.Job} */ job) => isOfImport(job) && isActive(job);
+  const isImport = (/** @type {Api.Job} */ job) => KINDS.includes(job.kind) && isActive(job);
   const running = () => app.state.jobs.filter(isImport).map(({ id }) => id);
 
   function plan() {

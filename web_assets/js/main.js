@@ -11,8 +11,10 @@ import { button, elementById, h } from "./dom.js";
 import { createEffort } from "./effort.js";
 import { ApiError, isAborted, messageOf } from "./errors.js";
 import { createEvents } from "./events.js";
+import { errorBox } from "./forms.js";
 import { createFrameState, createState } from "./frame_state.js";
 import { mountGuide } from "./guide.js";
+import { takeJob } from "./jobs.js";
 import { createKeys } from "./keys.js";
 import { showHints, toast } from "./messages.js";
 import { makeHash, parseHash } from "./router.js";
@@ -159,7 +161,7 @@ async function readjust(/** @type {Messages["adjusted"]} */ { recording, operato
 function takeClasses(/** @type {Messages["classes"]} */ { operator }) {
   app.frames.miss();
   if (operator !== app.state.operator) toast(`${operator} has changed the project's classes or settings.`);
-  refreshProject().catch(toast);
+  void refreshProject();
 }
 
 /** Shows the same under the project's new name. What is not saved yet is saved there. */
@@ -193,16 +195,12 @@ async function reread(/** @type {Messages["recordings"]} */ { recording, operato
 /** Opens the frame anew if its recording was adjusted while there was no connection. Classes may have changed, too. */
 async function catchUp() {
   const { route, frame } = app.state;
-  try {
-    await refreshProject();
-    if (route.mode !== "annotate" || frame === null) return;
-    /** @type {FrameState} */
-    const now = await app.api.get(app.path("frames", frame.frame.id));
-    const isShown = app.state.route.project === route.project && app.state.frame?.frame.id === frame.frame.id;
-    if (isShown && now.image.url !== frame.image.url) await follow(true);
-  } catch (error) {
-    toast(error);
-  }
+  await refreshProject();
+  if (route.mode !== "annotate" || frame === null) return;
+  /** @type {FrameState} */
+  const now = await app.api.get(app.path("frames", frame.frame.id));
+  const isShown = app.state.route.project === route.project && app.state.frame?.frame.id === frame.frame.id;
+  if (isShown && now.image.url !== frame.image.url) await follow(true);
 }
 
 /**
@@ -277,8 +275,6 @@ function leave() {
 function showProblem(/** @type {unknown} */ error, /** @type {Route} */ route) {
   if (!(error instanceof ApiError)) console.error(error);
   isBroken = true;
-  const retry = button("Try again", () => follow(), { class: "primary" });
-  const back = h("a.button", { href: "#/" }, "All projects");
   const isMissing = error instanceof ApiError && error.status === 404;
   // the server refuses a connection for a project that does not exist, which is no lost connection
   if (isMissing) void app.events.follow(null);
@@ -287,8 +283,12 @@ function showProblem(/** @type {unknown} */ error, /** @type {Route} */ route) {
     h(
       "div.page",
       h("h1", title),
-      h("p.error-box", { role: "alert", "data-testid": "page-problem" }, messageOf(error)),
-      h("div.row", retry, back),
+      errorBox(error, "page-problem"),
+      h(
+        "div.row",
+        button("Try again", () => follow(), { class: "primary" }),
+        h("a.button", { href: "#/" }, "All projects"),
+      ),
     ),
   );
 }
@@ -333,16 +333,17 @@ async function start() {
     void mounted?.flush?.();
     if (mounted?.unsaved?.()) event.preventDefault();
   });
-  window.addEventListener("unhandledrejection", ({ reason }) => {
+  // no part of the page need catch an error only to show it; those of the page itself are in the console, too
+  window.addEventListener("unhandledrejection", (event) => {
+    const { reason } = event;
     toast(reason instanceof Error ? reason : new Error(String(reason)));
+    if (reason instanceof ApiError || isAborted(reason)) event.preventDefault();
   });
   // registered before all other listeners, so that events are recorded before the modes handle them
   app.events.on("frame", app.frames.hear);
   app.events.on("reconnected", app.frames.miss);
   app.events.on("presence", ({ frames }) => app.state.set({ presence: frames }));
-  app.events.on("job", ({ job }) =>
-    app.state.set({ jobs: [job, ...app.state.jobs.filter((other) => other.id !== job.id)] }),
-  );
+  app.events.on("job", ({ job }) => takeJob(app, job));
   app.events.on("adjusted", (message) => void readjust(message));
   app.events.on("classes", takeClasses);
   app.events.on("renamed", (message) => void rename(message));

@@ -1,10 +1,9 @@
-/** Checks: boxes that look wrong, by kind of problem. A click opens the box in Review, or the frame in Label. */
+/** Checks: boxes that look wrong, by kind of problem. A click opens the box, or the frame. */
 
-import { button, count, h, patch } from "../dom.js";
-import { messageOf } from "../errors.js";
+import { button, count, h, nothing, patch } from "../dom.js";
+import { errorBox } from "../forms.js";
 import { makeHash } from "../router.js";
 
-/** @type {string[][]} */
 const KINDS = [
   ["class", "Unknown class", "the project has no such class"],
   ["attribute", "Attribute", "a value is missing, does not fit, has no attribute, or differs along its track"],
@@ -38,7 +37,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       // the server stops after a few seconds; the next request continues
       if (report.uncounted > 0) timer = setTimeout(load, 200);
     } catch (error) {
-      if (!ended) patch(body, h("p.error-box", { role: "alert" }, messageOf(error)));
+      if (!ended) patch(body, errorBox(error));
     } finally {
       again.disabled = false;
     }
@@ -52,37 +51,33 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     const failed = unreadable.length
       ? [h("div.error-box", { role: "alert" }, `What cannot be read:\n${unreadable.join("\n")}`)]
       : [];
-    if (warnings.length === 0) {
-      const nothing =
-        labels === 0
-          ? ["No boxes yet", "Label objects, or let the detectors propose some.", "label", "Label objects"]
-          : [
-              "Nothing looks wrong",
-              "Sizes, points, headings and overlaps were checked.",
-              "export",
-              "Export the boxes",
-            ];
-      patch(
-        body,
-        failed,
-        h(
-          "div.empty.panel",
-          { "data-testid": "no-warnings" },
-          h("h2", nothing[0]),
-          h("p", nothing[1]),
-          h("a.button", { href: makeHash(app.state.route.project, nothing[2]) }, nothing[3]),
-        ),
-      );
-      return;
-    }
-    const kinds = new Set(warnings.map(({ kind }) => kind));
-    for (const [kind] of KINDS) kinds.delete(/** @type {Api.Kind} */ (kind));
-    const unknown = [...kinds].map((kind) => [kind, kind, ""]);
-    const groups = [...KINDS, ...unknown].flatMap(([kind, title, help]) => {
+    const kinds = new Map(KINDS.map(([kind, ...words]) => [kind, words]));
+    for (const { kind } of warnings) if (!kinds.has(kind)) kinds.set(kind, [kind, ""]);
+    const groups = [...kinds].flatMap(([kind, [title, help]]) => {
       const matching = warnings.filter((warning) => warning.kind === kind);
       return matching.length > 0 ? [group(kind, title, help, matching)] : [];
     });
-    patch(body, failed, groups);
+    patch(body, failed, groups.length ? groups : nothingWrong(labels));
+  }
+
+  function nothingWrong(/** @type {number} */ labels) {
+    const href = (/** @type {string} */ mode) => makeHash(app.state.route.project, mode);
+    const said = labels
+      ? nothing(
+          "Nothing looks wrong",
+          "Sizes, points, headings and overlaps were checked.",
+          href("export"),
+          "Export the boxes",
+        )
+      : nothing(
+          "No boxes yet",
+          "Label objects, or let the detectors propose some.",
+          href("annotate"),
+          "Label objects",
+        );
+    said.classList.add("panel");
+    said.dataset.testid = "no-warnings";
+    return said;
   }
 
   function group(

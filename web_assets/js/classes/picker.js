@@ -1,7 +1,7 @@
 /** The choice of a class: buttons for a few, and a list of all with a search, those that are used most first. */
 
 import { classColor } from "../colors.js";
-import { openDialog } from "../dialogs.js";
+import { CANCEL, openDialog } from "../dialogs.js";
 import { button, h, iconButton, patch } from "../dom.js";
 import { editClasses } from "./classes.js";
 
@@ -68,11 +68,8 @@ export async function askClass(/** @type {ModeApp} */ app) {
     title: "Class",
     testid: "class-dialog",
     content: [field, list],
-    actions: [
-      { label: "Cancel", value: "cancel" },
-      { label: "Choose", value: "choose" },
-    ],
-    submit: (value) => (value === "choose" ? (clicked ?? found[0] ?? null) : null),
+    actions: [CANCEL, { label: "Choose", value: "choose" }],
+    submit: () => clicked ?? found[0] ?? null,
   });
 }
 
@@ -80,19 +77,9 @@ export async function askClass(/** @type {ModeApp} */ app) {
 export function createClassPicker(/** @type {ModeApp} */ app, /** @type {(name: string) => void} */ onPick) {
   const root = h("div.classes", { role: "radiogroup", "aria-label": "Class" });
   const more = button([], () => void ask(), { "data-testid": "all-classes", title: "Choose from all classes (/)" });
-  const edit = iconButton(
-    "edit",
-    "Change the classes and attributes",
-    () => editClasses(app, app.state.project.name),
-    {
-      "data-testid": "edit-classes",
-    },
-  );
-  /**
-   * The classes by their use when the mode was opened; those that came later are last.
-   *
-   * @type {string[]}
-   */
+  const change = () => editClasses(app, app.state.project.name);
+  const edit = iconButton("edit", "Change the classes and attributes", change, { "data-testid": "edit-classes" });
+  /** The classes by their use when the mode was opened; those that came later are last. @type {string[]} */
   let used = [];
   let picked = "";
   if (app.state.project.classes.length > ALL)
@@ -113,17 +100,15 @@ export function createClassPicker(/** @type {ModeApp} */ app, /** @type {(name: 
     const known = used.filter((name) => classes.includes(name));
     const few = isMany ? [...new Set([...known, ...classes])].slice(0, FEW) : classes;
     const shown = !isMany || few.includes(current) ? few : [...few.slice(0, FEW - 1), current];
-    patch(
-      root,
-      shown.map((label) =>
-        button([swatchOf(app, label), h("span.ellipsis", label), digitOf(app, label)], () => onPick(label), {
-          role: "radio",
-          "aria-checked": String(label === current),
-          "data-testid": `class-${label}`,
-          "data-key": label,
-        }),
-      ),
+    const buttons = shown.map((label) =>
+      button([swatchOf(app, label), h("span.ellipsis", label), digitOf(app, label)], () => onPick(label), {
+        role: "radio",
+        "aria-checked": String(label === current),
+        "data-testid": `class-${label}`,
+        "data-key": label,
+      }),
     );
+    patch(root, buttons);
     more.hidden = !isMany;
     patch(more, `+ ${classes.length - shown.length}`, h("kbd", "/"));
   }

@@ -1,8 +1,8 @@
 /** Export: which boxes, in which format; then the download, with a list of what the format cannot store. */
 
-import { count, h, patch } from "../dom.js";
-import { messageOf } from "../errors.js";
-import { createJobLine, isActive, latestJob, startJob } from "../jobs.js";
+import { bullets, count, dateOf, h, nothing, patch } from "../dom.js";
+import { errorBox } from "../forms.js";
+import { createJobForm, createJobLine, isActive, jobsOf, latestJob } from "../jobs.js";
 import { makeHash } from "../router.js";
 import { createExportForm } from "./form.js";
 
@@ -16,9 +16,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   const stop = [];
   let isOver = false;
   root.append(h("div.page", h("h1", "Export"), h("section.panel", h("header", h("h2", "Make a dataset")), body)));
-  begin(app, body, stop, () => isOver).catch((error) =>
-    body.replaceChildren(h("p.error-box", { role: "alert" }, messageOf(error))),
-  );
+  begin(app, body, stop, () => isOver).catch((error) => body.replaceChildren(errorBox(error)));
   return {
     unmount() {
       isOver = true;
@@ -37,104 +35,62 @@ async function begin(
   const formats = await app.api.get("/api/export-formats");
   if (isOver()) return;
   const asked = createExportForm(app, formats, show);
-  const start = h("button", { type: "submit", class: "primary", "data-testid": "export-start" }, "Export");
   const note = h("span.help", { "data-testid": "export-note" });
-  const problem = h("p.error-box", { role: "alert", hidden: true });
   const line = createJobLine(app, "export");
   const result = h("div.stack", { "data-testid": "export-result" });
-  const empty = h(
-    "div.empty",
-    h("p", "No boxes are accepted yet. Review proposals, or label objects, first."),
-    h("a.button", { href: makeHash(app.state.route.project, "annotate") }, "Annotate"),
-  );
-  const form = h("form.stack", { "data-testid": "export-form" }, asked.parts, problem, h("div.row", start, note));
-  body.replaceChildren(empty, form, line.root, result);
-
-  form.addEventListener("submit", async (event) => {
-    event.preventDefault();
-    problem.hidden = true;
-    start.disabled = true;
-    try {
-      await startJob(app, asked.request());
-    } catch (error) {
-      problem.textContent = messageOf(error);
-      problem.hidden = false;
-    } finally {
-      show();
-    }
+  const text = "No boxes are accepted yet. Review proposals, or label objects, first.";
+  const empty = nothing("", text, makeHash(app.state.route.project, "annotate"), "Annotate");
+  const { form, start } = createJobForm(app, {
+    name: "export",
+    label: "Export",
+    content: (start) => [...asked.parts, h("div.row", start, note)],
+    request: asked.request,
+    show,
   });
-
-  function showResult(/** @type {Api.Job | undefined} */ job) {
-    result.hidden = !job;
-    if (job) patch(result, describe(job));
-  }
+  body.replaceChildren(empty, form, line.root, result);
 
   function show() {
     if (!app.state.project) return;
     asked.show();
-    const job = latestJob(app, "export");
     const chosen = asked.chosen();
     empty.hidden = asked.total() > 0;
     const hasNone = chosen === 0 && !asked.isFlat();
     note.textContent = hasNone
       ? "No boxes are in the chosen states."
       : `${count(chosen, "box", "boxes")}. You can leave this page while the dataset is being made.`;
-    start.disabled = hasNone || Boolean(job && isActive(job));
+    start.disabled = hasNone || isActive(latestJob(app, "export"));
     line.show();
-    const done = app.state.jobs.filter(
-      ({ kind, project, state }) => kind === "export" && project === app.state.route.project && state === "done",
-    );
-    showResult(done.toSorted((a, b) => b.created_ns - a.created_ns)[0]);
+    const done = jobsOf(app, app.state.route.project, "export").find(({ state }) => state === "done");
+    result.hidden = !done;
+    if (done) patch(result, describe(done));
   }
 
   stop.push(app.state.on("jobs", show), app.state.on("project", show));
   show();
-  app.refreshProject().catch(app.toast);
+  void app.refreshProject();
 }
 
 /** The location of the dataset, its parts, and what its format cannot store. */
 function describe(/** @type {Api.Job} */ { id, created_ns, operator, download, result: anything }) {
-  /** @type {ExportResult | null} */
-  const result = anything;
-  const made = new Date(created_ns / 1e6).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
+  const { format, bytes, splits = {}, lost, unreadable, notes = [] } = /** @type {ExportResult} */ (anything ?? {});
   const get = h(
     "a.button.primary-link",
     { href: `/api/jobs/${id}/download`, download: "", "data-testid": "download" },
     "Download the dataset",
   );
   const gone = h("span", { "data-testid": "download-gone" }, "The dataset is no longer kept. Export it again.");
-  const about = h(
-    "span.muted.number",
-    `${result?.format ? `${result.format}, ` : ""}${size(result?.bytes)}made ${made} by ${operator}`,
-  );
-  const parts = Object.entries(result?.splits ?? {}).map(([name, frames]) => `${name}: ${count(frames, "frame")}`);
-  const lost = result?.lost ?? [];
-  const unreadable = result?.unreadable ?? [];
+  const made = `made ${dateOf(created_ns / 1e6)} by ${operator}`;
+  const about = h("span.muted.number", `${format ? `${format}, ` : ""}${size(bytes)}${made}`);
+  const parts = Object.entries(splits).map(([name, frames]) => `${name}: ${count(frames, "frame")}`);
   return [
     h("div.row", download === "gone" ? gone : get, about),
-    parts.length ? h("p.number", { "data-testid": "export-parts" }, parts.join(", ")) : null,
-    lost.length
-      ? h(
-          "div",
-          { "data-testid": "export-lost" },
-          h("p.field-label", "What the format cannot hold"),
-          h(
-            "ul.help",
-            lost.map((text) => h("li", text)),
-          ),
-        )
-      : null,
-    unreadable.length
-      ? h(
-          "div",
-          { "data-testid": "export-unreadable" },
-          h("p.field-label", "Frames left out because they cannot be read"),
-          h(
-            "ul.help",
-            unreadable.map((text) => h("li", text)),
-          ),
-        )
-      : null,
-    ...(result?.notes ?? []).map((text) => h("p.help", text)),
-  ].filter((part) => part !== null);
+    parts.length > 0 && h("p.number", { "data-testid": "export-parts" }, parts.join(", ")),
+    listed("export-lost", "What the format cannot hold", lost),
+    listed("export-unreadable", "Frames left out because they cannot be read", unreadable),
+    ...notes.map((text) => h("p.help", text)),
+  ];
 }
+
+const listed = (/** @type {string} */ testid, /** @type {string} */ title, /** @type {string[]} */ texts = []) =>
+  texts.length > 0 &&
+  h("div", { "data-testid": testid }, h("p.field-label", title), bullets(texts, { class: "help" }));

@@ -3,9 +3,9 @@
 import { projectPath } from "../api.js";
 import { editClasses } from "../classes/classes.js";
 import { button, count, glyph, h, iconButton } from "../dom.js";
-import { messageOf } from "../errors.js";
+import { errorBox } from "../forms.js";
 import { guide } from "../guide.js";
-import { createJobLine, followImports, isActive, isOfImport, takeJob } from "../jobs.js";
+import { createJobLine, followImports, isActive, jobsOf, KINDS, takeJob } from "../jobs.js";
 import { makeHash } from "../router.js";
 import { importBoxes } from "./boxes_file.js";
 import { createMenu, createProject, createRemoved } from "./manage.js";
@@ -28,12 +28,14 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
   /** Id of the job that makes a sample for this operator. */
   let sample = "";
   const removed = createRemoved(app, refresh);
-  const page = h(
-    "div.page.start",
-    h("div.row", h("h1.grow", "Projects"), sampleButton(), newButton()),
-    list,
-    removed.root,
-    h("p.help", app.state.version ? `annotator ${app.state.version}` : ""),
+  root.append(
+    h(
+      "div.page.start",
+      h("div.row", h("h1.grow", "Projects"), sampleButton(), newButton()),
+      list,
+      removed.root,
+      h("p.help", app.state.version ? `annotator ${app.state.version}` : ""),
+    ),
   );
 
   function newButton() {
@@ -41,23 +43,19 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
   }
 
   function sampleButton() {
-    return button("Try a sample project", () => begunSample(), {
+    return button("Try a sample project", makeSample, {
       title: "Makes a project with a generated recording, in some seconds, and shows what to do with it",
       "data-testid": "sample-project",
     });
   }
 
-  async function begunSample() {
-    try {
-      /** @type {Api.Sample} */
-      const { name, job } = await app.api.post("/api/sample-project");
-      if (!job) return open(name);
-      sample = job.id;
-      takeJob(app, job);
-      await refresh();
-    } catch (error) {
-      app.toast(error);
-    }
+  async function makeSample() {
+    /** @type {Api.Sample} */
+    const { name, job } = await app.api.post("/api/sample-project");
+    if (!job) return open(name);
+    sample = job.id;
+    takeJob(app, job);
+    await refresh();
   }
 
   function open(/** @type {string} */ name) {
@@ -76,42 +74,29 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
     const project = await createProject(app);
     if (!project) return;
     await refresh();
-    await add(project.name);
+    await then(addRecordings(app, project.name));
   }
 
-  async function add(/** @type {string} */ name) {
-    await addRecordings(app, name);
-    await refresh();
-  }
-
-  async function locate(/** @type {string} */ name, /** @type {Api.MissingRecording} */ recording) {
-    if (await locateRecording(app, name, recording)) await refresh();
-  }
-
-  async function change(/** @type {string} */ name) {
-    try {
-      await editClasses(app, name);
-    } catch (error) {
-      app.toast(error);
-    }
-    await refresh();
-  }
-
-  async function addBoxes(/** @type {string} */ name) {
-    try {
-      const job = await importBoxes(app, name);
-      if (!job) return;
-      started.add(job.id);
-      await refresh();
-    } catch (error) {
-      app.toast(error);
-    }
-  }
+  /** Shows the projects again after what was done with one of them, also if that failed. */
+  const then = (/** @type {Promise<unknown>} */ done) => done.finally(refresh);
 
   function begun(/** @type {Api.Job} */ job) {
     started.add(job.id);
     takeJob(app, job);
   }
+
+  async function addBoxes(/** @type {string} */ name) {
+    const job = await importBoxes(app, name);
+    if (job) started.add(job.id);
+  }
+
+  /** @type {CardActions} */
+  const actions = {
+    add: (name) => then(addRecordings(app, name)),
+    addBoxes: (name) => then(addBoxes(name)),
+    locate: (name, recording) => then(locateRecording(app, name, recording)),
+    change: (name) => then(editClasses(app, name)),
+  };
 
   async function refresh() {
     try {
@@ -125,25 +110,14 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
       if (menu) return menu.addEventListener("toggle", refresh, { once: true });
       shown = text;
       lines = projects.map(({ name }) => importLine(app, name, started));
-      list.replaceChildren(
-        ...(projects.length
-          ? projects.map((project, i) =>
-              card(project, {
-                add,
-                addBoxes,
-                locate,
-                change,
-                line: lines[i].root,
-                menu: createMenu(app, project, refresh, begun),
-              }),
-            )
-          : [nothing()]),
+      const cards = projects.map((project, i) =>
+        card(project, actions, lines[i].root, createMenu(app, project, refresh, begun)),
       );
+      list.replaceChildren(...(cards.length ? cards : [nothing()]));
       showLines();
     } catch (error) {
       shown = "";
-      const retry = button("Try again", refresh);
-      list.replaceChildren(h("p.error-box", { role: "alert" }, messageOf(error)), h("div", retry));
+      list.replaceChildren(errorBox(error), h("div", button("Try again", refresh)));
     }
   }
 
@@ -163,7 +137,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
   }
 
   const stop = [app.state.on("jobs", showLines), followImports(app, () => openSample() || refresh())];
-  root.append(page);
   refresh();
   return {
     unmount() {
@@ -174,73 +147,82 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
 
 /** The progress of reading boxes of recordings or of a file, or of a copy, or the reason why that failed. */
 function importLine(/** @type {App} */ app, /** @type {string} */ project, /** @type {Set<string>} */ started) {
-  const own = () =>
-    app.state.jobs
-      .filter((job) => isOfImport(job) && job.project === project)
-      .toSorted((a, b) => b.created_ns - a.created_ns);
-  return createJobLine(
-    app,
-    "import",
-    () => own().find(isActive) ?? own().find((job, i) => i === 0 && (job.state === "failed" || started.has(job.id))),
-  );
+  return createJobLine(app, "import", () => {
+    const own = jobsOf(app, project, ...KINDS);
+    const isShown = own.length > 0 && (own[0].state === "failed" || started.has(own[0].id));
+    return own.find(isActive) ?? (isShown ? own[0] : undefined);
+  });
 }
 
 /**
- * @param {Api.ProjectSummary} project
- * @param {object} parts
- * @param {(name: string) => void} parts.add
- * @param {(name: string) => void} parts.addBoxes
- * @param {(name: string, recording: Api.MissingRecording) => void} parts.locate
- * @param {(name: string) => void} parts.change
- * @param {HTMLElement} parts.line
- * @param {HTMLElement[]} parts.menu
+ * What the buttons of a card do, which get the project's name.
+ *
+ * @typedef {object} CardActions
+ * @property {(name: string) => unknown} add
+ * @property {(name: string) => unknown} addBoxes
+ * @property {(name: string, recording: Api.MissingRecording) => unknown} locate
+ * @property {(name: string) => unknown} change
  */
-function card(project, { add, addBoxes, locate, change, line, menu }) {
+
+function card(
+  /** @type {Api.ProjectSummary} */ project,
+  /** @type {CardActions} */ { add, addBoxes, locate, change },
+  /** @type {HTMLElement} */ line,
+  /** @type {HTMLElement[]} */ menu,
+) {
   const { name, problem } = project;
-  const labels = project.labels_by_state;
-  const title = problem
-    ? h("h2.ellipsis", name)
-    : h("h2.ellipsis", h("a", { href: makeHash(name, "annotate"), "data-testid": `open-${name}` }, name));
-  const box = h("section.panel.project", { "data-testid": `project-${name}`, "aria-label": name }, [
-    h("div.row", h("span.grow.ellipsis", title), menu),
-  ]);
-  if (problem) {
-    box.append(h("p.error-box", problem));
-    return box;
-  }
+  const link = h("a", { href: makeHash(name, "annotate"), "data-testid": `open-${name}` }, name);
+  const title = h("span.grow.ellipsis", h("h2.ellipsis", problem ? name : link));
   const isEmpty = project.recordings === 0;
-  const addButton = button([glyph("plus"), "Recording"], () => add(name), {
-    class: isEmpty ? "primary" : "",
-    "data-testid": `add-recording-${name}`,
-  });
-  const boxesButton = button([glyph("plus"), "Boxes"], () => addBoxes(name), {
-    "data-testid": `import-boxes-${name}`,
-  });
-  boxesButton.title = "Import 2D boxes on camera images, or 3D boxes as proposals or labels, from a file";
-  boxesButton.hidden = isEmpty;
   const next = nextStep(project);
   const done = `${project.frames_done.toLocaleString("en")} of ${count(project.frames, "frame")} done`;
-  box.prepend(picture(project));
-  box.append(
-    h(
-      "p.classes",
-      project.classes.map((label) => h("span.chip", label)),
-      iconButton("edit", `Change the classes and attributes of ${name}`, () => change(name), {
-        "data-testid": `edit-classes-${name}`,
-      }),
-    ),
-    h(
-      "p.number.muted",
-      isEmpty ? "No recording yet: add one to begin." : `${count(project.recordings, "recording")}, ${done}`,
-    ),
-    h("progress", { max: project.frames || 1, value: project.frames_done, "aria-label": done, title: done }),
-    h("p.number.states", stateCounts(labels)),
-    ...project.missing.map((recording) => missing(recording, () => locate(name, recording))),
-    line,
-    h("div.row.next", next && link(name, next.mode, next.text)),
-    h("div.row", addButton, boxesButton),
-  );
-  return box;
+  const content = problem
+    ? [h("p.error-box", problem)]
+    : [
+        h(
+          "p.classes",
+          project.classes.map((label) => h("span.chip", label)),
+          iconButton("edit", `Change the classes and attributes of ${name}`, () => change(name), {
+            "data-testid": `edit-classes-${name}`,
+          }),
+        ),
+        h(
+          "p.number.muted",
+          isEmpty ? "No recording yet: add one to begin." : `${count(project.recordings, "recording")}, ${done}`,
+        ),
+        h("progress", { max: project.frames || 1, value: project.frames_done, "aria-label": done, title: done }),
+        h("p.number.states", stateCounts(project.labels_by_state)),
+        ...project.missing.map((recording) =>
+          h(
+            "div.row.missing",
+            h("span.grow.bad", `${recording.name}: its folder was not found`),
+            button("Locate …", () => locate(name, recording), { "data-testid": `locate-${recording.name}` }),
+          ),
+        ),
+        line,
+        h(
+          "div.row.next",
+          next &&
+            h("a.button.primary-link", { href: makeHash(name, next.mode), "data-testid": `next-${name}` }, next.text),
+        ),
+        h(
+          "div.row",
+          button([glyph("plus"), "Recording"], () => add(name), {
+            class: isEmpty ? "primary" : "",
+            "data-testid": `add-recording-${name}`,
+          }),
+          button([glyph("plus"), "Boxes"], () => addBoxes(name), {
+            title: "Import 2D boxes on camera images, or 3D boxes as proposals or labels, from a file",
+            hidden: isEmpty,
+            "data-testid": `import-boxes-${name}`,
+          }),
+        ),
+      ];
+  return h("section.panel.project", { "data-testid": `project-${name}`, "aria-label": name }, [
+    !problem && picture(project),
+    h("div.row", title, menu),
+    ...content,
+  ]);
 }
 
 /** What to do next in a project with recordings. */
@@ -271,15 +253,6 @@ function picture(/** @type {Api.ProjectSummary} */ { name, first_frame }) {
     }),
   );
   return frame;
-}
-
-function missing(/** @type {Api.MissingRecording} */ { name }, /** @type {() => void} */ onLocate) {
-  const locate = button("Locate …", onLocate, { "data-testid": `locate-${name}` });
-  return h("div.row.missing", h("span.grow.bad", `${name}: its folder was not found`), locate);
-}
-
-function link(/** @type {string} */ name, /** @type {string} */ mode, /** @type {string} */ text) {
-  return h("a.button.primary-link", { href: makeHash(name, mode), "data-testid": `next-${name}` }, text);
 }
 
 function stateCounts(/** @type {Record<string, number>} */ labels) {

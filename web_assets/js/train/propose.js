@@ -1,16 +1,16 @@
 /** Proposes boxes on the chosen recordings, or from 2D boxes on the images, then links to their review. */
 
-import { button, count, h, remembered } from "../dom.js";
-import { messageOf } from "../errors.js";
-import { createJobLine, isActive, latestJob, startJob } from "../jobs.js";
+import { button, count, h } from "../dom.js";
+import { checkbox, numberOf, remembered, ticked } from "../forms.js";
+import { createJobForm, createJobLine, isActive, latestJob, startJob } from "../jobs.js";
 import { makeHash } from "../router.js";
-import { importBoxes } from "../start/boxes_file.js";
+import { importBoxes, measuredBy } from "../start/boxes_file.js";
 
 export function createPropose(/** @type {HTMLElement} */ host, /** @type {ModeApp} */ app) {
   const line = createJobLine(app, "propose");
   const liftLine = createJobLine(app, "lift");
   const boxesLine = createJobLine(app, "boxes");
-  const importButton = button("Import boxes …", () => void addBoxes(), { "data-testid": "import-boxes" });
+  const importButton = button("Import boxes …", addBoxes, { "data-testid": "import-boxes" });
   const choices = h("div.choices-list", { role: "group", "aria-label": "Recordings" });
   const limit = remembered(
     `propose ${app.state.route.project} limit`,
@@ -23,19 +23,27 @@ export function createPropose(/** @type {HTMLElement} */ host, /** @type {ModeAp
       "data-testid": "propose-limit",
     }),
   );
-  const start = h("button", { type: "submit", class: "primary", "data-testid": "propose-start" }, "Propose");
   const note = h("p.help");
-  const problem = h("p.error-box", { role: "alert", hidden: true });
   const review = h("a.button.primary-link", { "data-testid": "review-proposals" });
-  const form = h(
-    "form.stack",
-    { "data-testid": "propose-form" },
-    choices,
-    h("div.row", h("label.row", "At most", limit, "frames"), note, h("span.grow"), start),
-    problem,
-  );
+  /** By the id of the recording. @type {Map<number, HTMLInputElement>} */
+  const boxes = new Map();
+  const { form, start } = createJobForm(app, {
+    name: "propose",
+    label: "Propose",
+    content: (start) => [
+      choices,
+      h("div.row", h("label.row", "At most", limit, "frames"), note, h("span.grow"), start),
+    ],
+    request() {
+      const chosen = ticked([...boxes.values()]).map(Number);
+      if (chosen.length === 0) throw new Error("Choose at least one recording.");
+      const recordings = chosen.length === boxes.size ? null : chosen;
+      return { kind: "propose", recordings, limit: numberOf(limit) };
+    },
+    show,
+  });
   const liftText = h("span.grow");
-  const liftStart = button("Propose 3D boxes from these", () => void startLift(), {
+  const liftStart = button("Propose 3D boxes from these", startLift, {
     class: "primary",
     "data-testid": "lift-start",
   });
@@ -45,51 +53,25 @@ export function createPropose(/** @type {HTMLElement} */ host, /** @type {ModeAp
     h("div.body.stack", boxesLine.root, lift, liftLine.root, form, line.root),
   );
   let toLift = 0;
-  const boxes = new Map();
-
-  form.addEventListener("submit", async (event) => {
-    event.preventDefault();
-    problem.hidden = true;
-    start.disabled = true;
-    try {
-      const chosen = [...boxes].filter(([, box]) => box.checked).map(([id]) => id);
-      if (chosen.length === 0) throw new Error("Choose at least one recording.");
-      const recordings = chosen.length === boxes.size ? null : chosen;
-      await startJob(app, { kind: "propose", recordings, limit: limit.value === "" ? null : limit.valueAsNumber });
-    } catch (error) {
-      problem.textContent = messageOf(error);
-      problem.hidden = false;
-    } finally {
-      show();
-    }
-  });
 
   async function startLift() {
     liftStart.disabled = true;
     try {
       await startJob(app, { kind: "lift" });
-    } catch (error) {
-      app.toast(error);
     } finally {
       show();
     }
   }
 
   async function addBoxes() {
-    try {
-      if (await importBoxes(app, app.state.route.project)) show();
-    } catch (error) {
-      app.toast(error);
-    }
+    if (await importBoxes(app, app.state.route.project)) show();
   }
 
-  function showLift(/** @type {Api.ProjectInfo} */ { detectors }) {
+  function showLift(/** @type {Api.ProjectInfo} */ project) {
     liftLine.show();
     boxesLine.show();
-    const running = latestJob(app, "lift");
-    const isRunning = Boolean(running && isActive(running));
-    const view = detectors.view ? "this project's view detector" : detectors.stand_in;
-    lift.hidden = toLift === 0 || isRunning;
+    const view = measuredBy(project);
+    lift.hidden = toLift === 0 || isActive(latestJob(app, "lift"));
     liftStart.disabled = !view;
     const have = toLift === 1 ? "has" : "have";
     const how = view ? `Measured by: ${view}.` : "This needs a view detector: train one first.";
@@ -101,16 +83,15 @@ export function createPropose(/** @type {HTMLElement} */ host, /** @type {ModeAp
     if (!project) return;
     for (const { id, name, frames } of project.recordings) {
       if (boxes.has(id)) continue;
-      const box = h("input", { type: "checkbox", checked: true });
+      const box = checkbox(null, true, { value: id });
       boxes.set(id, box);
       choices.append(h("label.row", box, h("span.ellipsis", name), h("span.muted.number", count(frames, "frame"))));
     }
     line.show();
     showLift(project);
-    const job = latestJob(app, "propose");
-    const { image, view, stand_in } = project.detectors;
-    const ready = image !== null && (view !== null || stand_in !== null);
-    start.disabled = !ready || project.recordings.length === 0 || Boolean(job && isActive(job));
+    const { image, stand_in } = project.detectors;
+    const ready = image !== null && measuredBy(project) !== null;
+    start.disabled = !ready || project.recordings.length === 0 || isActive(latestJob(app, "propose"));
     const kept = "Reviewed boxes and finalised frames are not changed.";
     const missing = `Train ${stand_in ? "an image detector" : "both detectors"} first, or choose one that was trained.`;
     note.textContent = [ready ? kept : missing, stand_in ? `View detector: ${stand_in}.` : ""].join(" ").trim();

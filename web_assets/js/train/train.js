@@ -1,8 +1,9 @@
 /** Train and propose: the training data, the running training, the models, and proposals. */
 
-import { count, h, patch, remembered } from "../dom.js";
-import { messageOf } from "../errors.js";
-import { createJobLine, isActive, latestJob, startJob } from "../jobs.js";
+import { count, h, nothing, patch } from "../dom.js";
+import { checkbox, field, numberOf, remembered, select } from "../forms.js";
+import { createJobForm, createJobLine, isActive, latestJob } from "../jobs.js";
+import { makeHash } from "../router.js";
 import { createCurves } from "./curves.js";
 import { createModelList } from "./models.js";
 import { createPropose } from "./propose.js";
@@ -16,17 +17,21 @@ const ROLES = [
   ["image", "Image detector", "finds objects on the camera image"],
   ["view", "View detector", "finds their edges on pseudo-views"],
 ];
+const NETWORKS = [
+  ["", "yolo11n: small and fast (default)"],
+  ["yolo11s", "yolo11s: larger, slower"],
+  ["yolo11m", "yolo11m: for a GPU"],
+];
 
 export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
   const material = h("div.cards");
   const line = createJobLine(app, "train");
-  const curvesHost = h("div");
-  const curves = createCurves(curvesHost);
+  const curves = createCurves();
   const modelsHost = h("section.panel");
   const proposeHost = h("section.panel");
   const models = createModelList(modelsHost, app, load);
   const propose = createPropose(proposeHost, app);
-  const { form, start } = createForm(app);
+  const { form, start } = createForm(app, show);
   const learning = createLearning(app);
   /** @type {Api.ModelList | null} */
   let known = null;
@@ -39,7 +44,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       h(
         "section.panel",
         h("header", h("h2", "Train the detectors")),
-        h("div.body.stack", material, form, learning.root, line.root, curvesHost),
+        h("div.body.stack", material, form, learning.root, line.root, h("div", curves.root)),
       ),
       proposeHost,
       modelsHost,
@@ -47,18 +52,14 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   );
 
   async function load() {
-    try {
-      const { changes } = learning;
-      /** @type {Api.ModelList} */
-      const answer = await app.api.get(app.path("models"));
-      if (ended) return;
-      known = answer;
-      // an answer from before a change is out of date
-      if (changes === learning.changes) learning.show(answer);
-      show();
-    } catch (error) {
-      app.toast(error);
-    }
+    const { changes } = learning;
+    /** @type {Api.ModelList} */
+    const answer = await app.api.get(app.path("models"));
+    if (ended) return;
+    known = answer;
+    // an answer from before a change is out of date
+    if (changes === learning.changes) learning.show(answer);
+    show();
   }
 
   function show() {
@@ -67,17 +68,18 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     curves.show(curvesOf(job, known));
     propose.show();
     // a round in the background stops for this one
-    start.disabled = Boolean(job && isActive(job) && !job.background);
+    start.disabled = isActive(job) && !job?.background;
     if (!known) return;
-    const list = known;
     models.show(known);
     propose.setToLift(known.material.to_lift);
-    const nothing = Object.values(known.material).every((number) => number === 0);
-    form.hidden = nothing;
+    const hasNone = Object.values(known.material).every((number) => number === 0);
+    form.hidden = hasNone;
+    const cards = ROLES.map((role) => materialCard(role, /** @type {Api.ModelList} */ (known)));
+    const text = "There are no boxes to train on yet. Draw a few objects first; each takes five 2D boxes.";
     patch(
       material,
-      ROLES.map((role) => materialCard(role, list)),
-      nothing && nothingYet(app),
+      cards,
+      hasNone && nothing("", text, makeHash(app.state.route.project, "annotate"), "Label objects"),
     );
   }
 
@@ -90,7 +92,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       const now = states();
       if (now !== last) {
         void load();
-        app.refreshProject().then(() => !ended && show(), app.toast);
+        void app.refreshProject().then(() => !ended && show());
       }
       last = now;
     }),
@@ -98,7 +100,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   ];
   show();
   void load();
-  app.refreshProject().catch(app.toast);
+  void app.refreshProject();
   return {
     unmount() {
       ended = true;
@@ -122,7 +124,7 @@ const minutesField = (/** @type {string} */ label, /** @type {string} */ testid)
 
 /** The switch "Learn while I label". */
 function createLearning(/** @type {ModeApp} */ app) {
-  const box = h("input", { type: "checkbox", "data-testid": "learn-switch" });
+  const box = checkbox("learn-switch");
   const every = h("input", {
     type: "number",
     min: 1,
@@ -139,12 +141,8 @@ function createLearning(/** @type {ModeApp} */ app) {
     changes += 1;
     const everyNow = box.checked ? every.valueAsNumber || LEARN_EVERY : null;
     const minutesNow = minutes.valueAsNumber || MINUTES;
-    try {
-      await app.api.put(app.path("models", "learning"), { every: everyNow, minutes: minutesNow });
-      show({ learn_every: everyNow, learn_minutes: minutesNow });
-    } catch (error) {
-      app.toast(error);
-    }
+    await app.api.put(app.path("models", "learning"), { every: everyNow, minutes: minutesNow });
+    show({ learn_every: everyNow, learn_minutes: minutesNow });
   }
 
   function show(/** @type {Pick<Api.ModelList, "learn_every" | "learn_minutes">} */ { learn_every, learn_minutes }) {
@@ -183,13 +181,11 @@ function createLearning(/** @type {ModeApp} */ app) {
   };
 }
 
-function createForm(/** @type {ModeApp} */ app) {
+function createForm(/** @type {ModeApp} */ app, /** @type {() => unknown} */ show) {
   /** @template {HTMLInputElement | HTMLSelectElement} T */
-  const kept = (/** @type {string} */ key, /** @type {T} */ field) =>
-    remembered(`train ${app.state.route.project} ${key}`, field);
-  const roles = ROLES.map(([role]) =>
-    kept(role, h("input", { type: "checkbox", name: role, checked: true, "data-testid": `train-role-${role}` })),
-  );
+  const kept = (/** @type {string} */ key, /** @type {T} */ input) =>
+    remembered(`train ${app.state.route.project} ${key}`, input);
+  const roles = ROLES.map(([role]) => kept(role, checkbox(`train-role-${role}`, true, { name: role })));
   const sizes = ROLES.map(([role, label]) =>
     kept(
       `size ${role}`,
@@ -205,75 +201,54 @@ function createForm(/** @type {ModeApp} */ app) {
     ),
   );
   const minutes = kept("minutes", minutesField("Minutes of the training", "train-minutes"));
-  const model = kept(
-    "model",
-    h(
-      "select",
-      { "data-testid": "train-model" },
-      [
-        ["", "yolo11n: small and fast (default)"],
-        ["yolo11s", "yolo11s: larger, slower"],
-        ["yolo11m", "yolo11m: for a GPU"],
-      ].map(([value, text]) => h("option", { value }, text)),
-    ),
-  );
-  const start = h("button", { type: "submit", class: "primary", "data-testid": "train-start" }, "Train");
-  const problem = h("p.error-box", { role: "alert", hidden: true });
-  const more = h(
-    "details",
-    h("summary", "Settings"),
-    h(
-      "div.settings",
-      ROLES.map(([, label], i) => h("label.field", h("span", `${label}: longer side, px`), sizes[i])),
-      h("label.field", h("span", "Network"), model),
+  const model = kept("model", select(NETWORKS, { "data-testid": "train-model" }));
+  const { form, start } = createJobForm(app, {
+    name: "train",
+    label: "Train",
+    content: (start) => [
+      h(
+        "div.row",
+        ROLES.map(([, label], i) => h("label.row", roles[i], label)),
+        h("label.row", "for", minutes, "minutes"),
+        h("span.grow"),
+        start,
+      ),
       h(
         "p.help",
-        "Larger pictures show small objects better, and take longer. An empty field uses the number shown in grey.",
+        "More minutes train better. They are those of the view detector; the image detector learns longer with them. ",
+        "A fifth of the frames is never trained on: a detector that is worse on these than the one in use, or finds ",
+        "nothing, is not used unless you choose it below.",
       ),
-    ),
-  );
-  const form = h(
-    "form",
-    // hidden until it is known that there is something to learn
-    { class: "stack", hidden: true, "data-testid": "train-form" },
-    h(
-      "div.row",
-      ROLES.map(([, label], i) => h("label.row", roles[i], label)),
-      h("label.row", "for", minutes, "minutes"),
-      h("span.grow"),
-      start,
-    ),
-    h(
-      "p.help",
-      "More minutes train better. They are those of the view detector; the image detector learns longer with them. A ",
-      "fifth of the frames is never trained on: a detector that is worse on these than the one in use, or finds nothing, ",
-      "is not used unless you choose it below.",
-    ),
-    more,
-    problem,
-  );
-  const number = (/** @type {HTMLInputElement} */ input) => (input.value === "" ? null : input.valueAsNumber);
-  form.addEventListener("submit", async (event) => {
-    event.preventDefault();
-    problem.hidden = true;
-    start.disabled = true;
-    try {
+      h(
+        "details",
+        h("summary", "Settings"),
+        h(
+          "div.settings",
+          ROLES.map(([, label], i) => field(`${label}: longer side, px`, sizes[i])),
+          field("Network", model),
+          h(
+            "p.help",
+            "Larger pictures show small objects better, and take longer. An empty field uses the number shown in grey.",
+          ),
+        ),
+      ),
+    ],
+    request() {
       const chosen = ROLES.map(([role]) => role).filter((_, i) => roles[i].checked);
       if (chosen.length === 0) throw new Error("Choose at least one detector to train.");
-      await startJob(app, {
+      return {
         kind: "train",
         roles: chosen,
-        minutes: number(minutes),
-        image_size_px: number(sizes[0]),
-        view_size_px: number(sizes[1]),
+        minutes: numberOf(minutes),
+        image_size_px: numberOf(sizes[0]),
+        view_size_px: numberOf(sizes[1]),
         model: model.value || null,
-      });
-    } catch (error) {
-      problem.textContent = messageOf(error);
-      problem.hidden = false;
-      start.disabled = false;
-    }
+      };
+    },
+    show,
   });
+  // until it is known that there is something to learn
+  form.hidden = true;
   return { form, start };
 }
 
@@ -303,16 +278,8 @@ function materialCard(
   );
 }
 
-function nothingYet(/** @type {ModeApp} */ app) {
-  return h(
-    "div.empty",
-    h("p", "There are no boxes to train on yet. Draw a few objects first; each takes five 2D boxes."),
-    h("a.button", { href: `#/${encodeURIComponent(app.state.route.project)}/annotate` }, "Label objects"),
-  );
-}
-
 /** Curves of the running training, or else of the active models. */
-function curvesOf(/** @type {Api.Job | null} */ job, /** @type {Api.ModelList | null} */ known) {
+function curvesOf(/** @type {Api.Job | undefined} */ job, /** @type {Api.ModelList | null} */ known) {
   if (job && (isActive(job) || job.curves.length > 0) && job.state !== "done") return job.curves;
   const active = known?.models.filter((model) => model.active) ?? [];
   const kept = active.flatMap((model) => model.curves);
