@@ -95,7 +95,7 @@ interface StateValues {
 
 interface StateMethods {
   set(changes: Partial<StateValues>): void;
-  on<K extends keyof StateValues>(name: K, fn: (value: StateValues[K]) => unknown): () => void;
+  on<K extends keyof StateValues>(name: K, fn: (value: StateValues[K]) => unknown, until?: AbortSignal): () => void;
 }
 
 type State = StateValues & StateMethods;
@@ -187,7 +187,7 @@ type Unsaved = { text: string; retry: () => unknown; action?: string; discard: (
 
 /** A mounted mode. */
 interface Mounted {
-  unmount(): void;
+  unmount?(): void;
   /** Called instead of a new mount if only the frame or the query of the address has changed. */
   route?(route: Route): void;
   /** Resolves when all changes that are being saved are saved, or have failed. */
@@ -206,7 +206,8 @@ type StaleError = Error & { body: { state: FrameState } };
 type TrackTakenError = Error & { body: { track: number } };
 
 interface Mode {
-  mount(root: HTMLElement, app: ModeApp): Mounted;
+  /** `until`: aborted when another mode is mounted. */
+  mount(root: HTMLElement, app: ModeApp, until: AbortSignal): Mounted | void;
 }
 
 /** A version of a frame that could not be saved: lines of text, and the boxes drawn over the other version. */

@@ -51,17 +51,9 @@ export function createAttributes(host, app, target) {
   /** @type {Map<string, HTMLSelectElement | HTMLInputElement>} */
   const fields = new Map();
   let shown = "";
-  /**
-   * The uid of the box whose values are shown.
-   *
-   * @type {string | null}
-   */
+  /** The uid of the box whose values are shown. @type {string | null} */
   let owner = null;
-  /**
-   * The field that is being typed in.
-   *
-   * @type {HTMLInputElement | null}
-   */
+  /** The field that is being typed in. @type {HTMLInputElement | null} */
   let typed = null;
 
   /** The attributes of the selected box and of the frame. */

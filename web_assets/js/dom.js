@@ -60,11 +60,7 @@ function setAttribute(
   else element.setAttribute(name, value === true ? "" : String(value));
 }
 
-/**
- * What the elements made here do on events.
- *
- * @type {WeakMap<Node, Record<string, EventListener>>}
- */
+/** What the elements made here do on events. @type {WeakMap<Node, Record<string, EventListener>>} */
 const listeners = new WeakMap();
 
 function listen(/** @type {Element} */ element, /** @type {string} */ type, /** @type {EventListener} */ fn) {

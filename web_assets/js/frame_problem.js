@@ -8,12 +8,12 @@ import { messageOf } from "./errors.js";
  * @param {{onRetry: () => void, onStep: (which: Direction) => void}} actions what the buttons do.
  */
 export function createFrameProblem(host, { onRetry, onStep }) {
-  const text = h("p.error-box");
+  const problem = h("p.error-box");
   const root = h(
     "div.frame-problem",
     { role: "alert", hidden: true, "data-testid": "frame-problem" },
     h("h3", "This frame cannot be shown"),
-    text,
+    problem,
     h("p.help", "Its saved boxes are safe. Solve the problem and try again, or go on with another frame."),
     h(
       "div.row",
@@ -25,7 +25,7 @@ export function createFrameProblem(host, { onRetry, onStep }) {
   host.append(root);
   return {
     show(/** @type {unknown} */ error) {
-      text.textContent = messageOf(error);
+      problem.textContent = messageOf(error);
       root.hidden = false;
     },
     hide: () => (root.hidden = true),

@@ -15,6 +15,9 @@ export const NAMES = {
   sample: "sample project",
 };
 
+/** Those that the start page shows. @type {Api.Job["kind"][]} */
+export const OF_START = ["import", "boxes", "copy", "sample"];
+
 export const isActive = (/** @type {Api.Job | null | undefined} */ job) =>
   job?.state === "queued" || job?.state === "running";
 
@@ -71,8 +74,18 @@ export function createJobForm(app, { name, label, content, request, show }) {
   return { form, start };
 }
 
+/** Shows a job that was started; what an event has said of it before is newer. */
 export function takeJob(/** @type {App} */ app, /** @type {Api.Job} */ job) {
-  app.state.set({ jobs: [job, ...app.state.jobs.filter(({ id }) => id !== job.id)] });
+  if (!app.state.jobs.some(({ id }) => id === job.id)) app.state.set({ jobs: [job, ...app.state.jobs] });
+}
+
+/** Reads all jobs. What is heard of a job meanwhile is newer. */
+export async function readJobs(/** @type {App} */ app) {
+  const before = app.state.jobs;
+  /** @type {Api.Job[]} */
+  const jobs = await app.api.get("/api/jobs");
+  const heard = app.state.jobs.filter((job) => !before.includes(job));
+  app.state.set({ jobs: [...heard, ...jobs.filter(({ id }) => !heard.some((job) => job.id === id))] });
 }
 
 /** 75 -> "1 min 15 s". */
@@ -116,7 +129,7 @@ export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
     if (!job) return;
     stop.disabled = true;
     try {
-      takeJob(app, await app.api.post(`/api/jobs/${job.id}/cancel`));
+      await app.api.post(`/api/jobs/${job.id}/cancel`);
     } finally {
       stop.disabled = false;
     }
@@ -170,57 +183,4 @@ function describe(/** @type {Api.Job} */ job, /** @type {Api.Job[]} */ jobs) {
   if (job.state === "failed") return `Failed: ${job.message ?? "see the server's log"}`;
   if (job.state === "cancelled") return job.message ?? "Stopped";
   return job.message ?? "Done";
-}
-
-// -- jobs of the start page, which has no open project and receives no events of them
-
-/** @type {Api.Job["kind"][]} */
-export const KINDS = ["import", "boxes", "copy", "sample"];
-/** Such a job takes between a moment and minutes, so the interval between requests grows. */
-const WAIT_MS = { first: 700, longest: 5000, growth: 1.5 };
-
-/**
- * Requests the jobs once, and then repeatedly while one of them runs.
- *
- * @param {App} app
- * @param {() => void} onDone called when a job has ended.
- * @returns {() => void} ends the requests.
- */
-export function followImports(app, onDone) {
-  let isOver = false;
-  let timer = 0;
-  let waitMs = WAIT_MS.first;
-  const isImport = (/** @type {Api.Job} */ job) => KINDS.includes(job.kind) && isActive(job);
-  const running = () => app.state.jobs.filter(isImport).map(({ id }) => id);
-
-  function plan() {
-    clearTimeout(timer);
-    const isRunning = running().length > 0 && !isOver;
-    timer = isRunning ? setTimeout(look, waitMs) : 0;
-    waitMs = isRunning ? Math.min(waitMs * WAIT_MS.growth, WAIT_MS.longest) : WAIT_MS.first;
-  }
-
-  async function look() {
-    const before = running();
-    try {
-      /** @type {Api.Job[]} */
-      const jobs = await app.api.get("/api/jobs");
-      if (isOver) return;
-      // the answer lacks jobs that were started after the request
-      const begun = app.state.jobs.filter((job) => isImport(job) && !jobs.some(({ id }) => id === job.id));
-      app.state.set({ jobs: [...begun, ...jobs] });
-    } catch {
-      // another part of the page shows that the server does not answer
-    }
-    plan();
-    if (!isOver && before.some((id) => !running().includes(id))) onDone();
-  }
-
-  const stop = app.state.on("jobs", () => timer || plan());
-  void look();
-  return () => {
-    isOver = true;
-    plan();
-    stop();
-  };
 }

@@ -1,7 +1,7 @@
 /**
  * The page: creates the `app` object, which every mode gets, and mounts the mode given by the URL.
  *
- * A mode is a module with `mount(root, app)`, which returns a `Mounted`. A mode asks `app.mayLeave` before it
+ * A mode is a module with `mount(root, app, until)`, which may return a `Mounted`. A mode asks `app.mayLeave` before it
  * shows another frame.
  */
 
@@ -14,7 +14,7 @@ import { createEvents } from "./events.js";
 import { errorBox } from "./forms.js";
 import { createFrameState, createState } from "./frame_state.js";
 import { mountGuide } from "./guide.js";
-import { takeJob } from "./jobs.js";
+import { readJobs } from "./jobs.js";
 import { createKeys } from "./keys.js";
 import { showHints, toast } from "./messages.js";
 import { makeHash, parseHash } from "./router.js";
@@ -39,6 +39,8 @@ const work = elementById("work");
 const app = createApp();
 /** @type {Mounted | null} */
 let mounted = null;
+/** Ends what the mounted mode listens to. */
+let ending = new AbortController();
 let visit = 0;
 /** What the address names could not be opened. */
 let isBroken = false;
@@ -234,7 +236,11 @@ async function follow(isAnew = false) {
   try {
     await app.events.follow(route.project);
     if (ownVisit !== visit) return;
-    if (route.project !== null && app.state.project === null) await refreshProject();
+    // the connection may be new
+    if (app.state.project === null) {
+      showJobs();
+      await refreshProject();
+    }
     /** @type {Mode} */
     const module = await loadMode(route.mode);
     if (ownVisit !== visit) return;
@@ -243,7 +249,8 @@ async function follow(isAnew = false) {
     // time spent in other modes does not count for the next box
     app.effort.reset();
     document.title = route.project ? `${route.project} · ${route.mode} · annotator` : "annotator";
-    mounted = module.mount(work, /** @type {ModeApp} */ (app));
+    ending = new AbortController();
+    mounted = module.mount(work, /** @type {ModeApp} */ (app), ending.signal) ?? {};
   } catch (error) {
     if (ownVisit === visit) showProblem(error, route);
   }
@@ -264,7 +271,8 @@ function leave() {
   const old = mounted;
   mounted = null;
   app.keys.setMode(null);
-  old?.unmount();
+  ending.abort();
+  old?.unmount?.();
   app.viewport?.detach();
   app.state.set({ track: null });
   work.className = "work";
@@ -301,15 +309,9 @@ function releaseMouseFocus(/** @type {MouseEvent} */ event) {
   event.target.closest("button")?.blur();
 }
 
-/** Loads the jobs. An error is not shown: the page works without the list, and events add the jobs later. */
-async function loadJobs() {
-  try {
-    /** @type {Api.Job[]} */
-    const jobs = await app.api.get("/api/jobs");
-    app.state.set({ jobs });
-  } catch (error) {
-    console.debug(`jobs: ${messageOf(error)}`);
-  }
+/** Reads the jobs. An error is not shown: the page works without the list, and events add the jobs later. */
+function showJobs() {
+  readJobs(app).catch((error) => console.debug(`jobs: ${messageOf(error)}`));
 }
 
 async function start() {
@@ -343,7 +345,9 @@ async function start() {
   app.events.on("frame", app.frames.hear);
   app.events.on("reconnected", app.frames.miss);
   app.events.on("presence", ({ frames }) => app.state.set({ presence: frames }));
-  app.events.on("job", ({ job }) => takeJob(app, job));
+  app.events.on("job", ({ job }) =>
+    app.state.set({ jobs: [job, ...app.state.jobs.filter((other) => other.id !== job.id)] }),
+  );
   app.events.on("adjusted", (message) => void readjust(message));
   app.events.on("classes", takeClasses);
   app.events.on("renamed", (message) => void rename(message));
@@ -355,7 +359,10 @@ async function start() {
   app.events.on("replaced", () =>
     toast("This project was replaced on the server. Reload the page: what it shows is no longer stored.", "error"),
   );
-  app.events.on("reconnected", () => void (isBroken ? follow() : catchUp()));
+  app.events.on("reconnected", () => {
+    showJobs();
+    void (isBroken ? follow() : catchUp());
+  });
   app.events.on("connection", (connected) => app.state.set({ connected }));
   readTimeline(app);
   mountTopbar(topbar, app);
@@ -371,7 +378,6 @@ async function start() {
     return;
   }
   app.viewport = createViewport(app);
-  void loadJobs();
   window.addEventListener("hashchange", () => follow());
   // the operator may have created the project, or started the server, in another window
   window.addEventListener("focus", () => {

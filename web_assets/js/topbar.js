@@ -5,7 +5,7 @@
 
 import { confirm, keyTableDialog } from "./dialogs.js";
 import { button, h, iconButton, patch } from "./dom.js";
-import { isActive, KINDS, NAMES, showProgress, waiting } from "./jobs.js";
+import { isActive, NAMES, OF_START, showProgress, waiting } from "./jobs.js";
 import { makeHash } from "./router.js";
 import { signOut } from "./session.js";
 import { createWhere, WITH_FRAME } from "./where.js";
@@ -93,7 +93,7 @@ function jobs(/** @type {App} */ app) {
     const { kind, project, state, stage } = job;
     const isQueued = state === "queued";
     // importing boxes from a file is begun on the page of training, too
-    const isOfStart = kind !== "boxes" && KINDS.includes(kind);
+    const isOfStart = kind !== "boxes" && OF_START.includes(kind);
     link.href = isOfStart ? "#/" : makeHash(project, kind === "export" ? "export" : "train");
     link.title = `${NAMES[kind]} in ${project}: ${isQueued ? waiting(job, all) : stage}`;
     text.textContent = isQueued ? `${NAMES[kind]} waits` : NAMES[kind];

@@ -270,10 +270,10 @@ def test_open_pages_follow_a_project_that_is_renamed_removed_missing_or_not_answ
     page.goto("/#/later/statistics")
     page.reload()
     expect(offline).to_contain_text("no connection")
+    lost.clear()
     page.get_by_test_id("home").click()
     expect(page.get_by_test_id("new-project").first).to_be_visible()
     expect(offline).to_be_empty()
-    lost.clear()
 
 
 def test_virtual_cameras_are_added_and_share_a_label(start: Page, shop: Shop) -> None:

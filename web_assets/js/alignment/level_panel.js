@@ -16,11 +16,7 @@ const LEVEL = upOf({ roll: 0, pitch: 0 });
 export function createLevelPanel({ rotation, onChange, onPropose, onDiscard, onKeep }) {
   /** @type {Api.AlignmentJson | null} */
   let known = null;
-  /**
-   * The up direction that is shown, relative to the stored correction; null: unknown.
-   *
-   * @type {Vector | null}
-   */
+  /** The up direction that is shown, relative to the stored correction; null: unknown. @type {Vector | null} */
   let up = null;
   /** @type {Api.EstimatedUp | null} */
   let estimate = null;

@@ -16,14 +16,14 @@ const KINDS = [
 /** Maximum number of warnings that a group lists; all are counted. */
 const LISTED = 200;
 
-export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
+/** @type {Mode["mount"]} */
+export function mount(root, app, until) {
   const body = h("div.stack", h("p.muted", "Checking all boxes …"));
   const note = h("span.muted", { role: "status", "data-testid": "checks-note" });
   const again = button("Check again", () => void load(), { "data-testid": "check-again" });
   root.append(
     h("div.page", { "data-testid": "checks" }, h("div.row", h("h1", "Checks"), note, h("span.grow"), again), body),
   );
-  let ended = false;
   let timer = 0;
 
   async function load() {
@@ -32,12 +32,12 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     try {
       /** @type {Api.CheckReport} */
       const report = await app.api.get(app.path("checks"));
-      if (ended) return;
+      if (until.aborted) return;
       show(report);
       // the server stops after a few seconds; the next request continues
       if (report.uncounted > 0) timer = setTimeout(load, 200);
     } catch (error) {
-      if (!ended) patch(body, errorBox(error));
+      if (!until.aborted) patch(body, errorBox(error));
     } finally {
       again.disabled = false;
     }
@@ -110,11 +110,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     );
   }
 
+  until.addEventListener("abort", () => clearTimeout(timer));
   void load();
-  return {
-    unmount() {
-      ended = true;
-      clearTimeout(timer);
-    },
-  };
 }

@@ -10,30 +10,17 @@ import { createExportForm } from "./form.js";
 const size = (/** @type {number | undefined} */ bytes) =>
   bytes ? `${(bytes / 1e6).toLocaleString("en", { maximumFractionDigits: 1 })} MB, ` : "";
 
-export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
+/** @type {Mode["mount"]} */
+export function mount(root, app, until) {
   const body = h("div.body.stack");
-  /** @type {(() => void)[]} */
-  const stop = [];
-  let isOver = false;
   root.append(h("div.page", h("h1", "Export"), h("section.panel", h("header", h("h2", "Make a dataset")), body)));
-  begin(app, body, stop, () => isOver).catch((error) => body.replaceChildren(errorBox(error)));
-  return {
-    unmount() {
-      isOver = true;
-      for (const end of stop) end();
-    },
-  };
+  begin(app, body, until).catch((error) => body.replaceChildren(errorBox(error)));
 }
 
-async function begin(
-  /** @type {ModeApp} */ app,
-  /** @type {HTMLElement} */ body,
-  /** @type {(() => void)[]} */ stop,
-  /** @type {() => boolean} */ isOver,
-) {
+async function begin(/** @type {ModeApp} */ app, /** @type {HTMLElement} */ body, /** @type {AbortSignal} */ until) {
   /** @type {Api.FormatInfo[]} */
   const formats = await app.api.get("/api/export-formats");
-  if (isOver()) return;
+  if (until.aborted) return;
   const asked = createExportForm(app, formats, show);
   const note = h("span.help", { "data-testid": "export-note" });
   const line = createJobLine(app, "export");
@@ -65,7 +52,8 @@ async function begin(
     if (done) patch(result, describe(done));
   }
 
-  stop.push(app.state.on("jobs", show), app.state.on("project", show));
+  app.state.on("jobs", show, until);
+  app.state.on("project", show, until);
   show();
   void app.refreshProject();
 }

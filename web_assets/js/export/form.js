@@ -28,8 +28,11 @@ export function createExportForm(
 ) {
   const { classes, recordings } = app.state.project;
   const kept = (/** @type {string} */ key) => `export ${app.state.route.project} ${key}`;
-  const check = (/** @type {string} */ value, /** @type {boolean} */ checked, /** @type {string} */ testid = "") =>
-    checkbox(testid && `export-${testid}`, checked, { value, onchange: onChange });
+  const check = (
+    /** @type {string} */ value,
+    /** @type {boolean} */ checked,
+    /** @type {string | null} */ testid = null,
+  ) => checkbox(testid === null ? null : `export-${testid}`, checked, { value, onchange: onChange });
   const states = STATES.map(([state]) => check(state, USUAL.has(state), `state-${state}`));
   const counts = STATES.map(() => h("span.muted.number"));
   const ofClasses = classes.map((name) => check(name, true));

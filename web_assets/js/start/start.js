@@ -5,7 +5,7 @@ import { editClasses } from "../classes/classes.js";
 import { button, count, glyph, h, iconButton } from "../dom.js";
 import { errorBox } from "../forms.js";
 import { guide } from "../guide.js";
-import { createJobLine, followImports, isActive, jobsOf, KINDS, takeJob } from "../jobs.js";
+import { createJobLine, isActive, jobsOf, OF_START, takeJob } from "../jobs.js";
 import { makeHash } from "../router.js";
 import { importBoxes } from "./boxes_file.js";
 import { createMenu, createProject, createRemoved } from "./manage.js";
@@ -13,7 +13,8 @@ import { addRecordings, locateRecording } from "./recordings.js";
 
 const STATES = ["proposed", "accepted", "edited", "rejected"];
 
-export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
+/** @type {Mode["mount"]} */
+export function mount(root, app, until) {
   const list = h("div.projects", { "aria-live": "polite" });
   /** @type {JobLine[]} */
   let lines = [];
@@ -136,19 +137,26 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
     for (const line of lines) line.show();
   }
 
-  const stop = [app.state.on("jobs", showLines), followImports(app, () => openSample() || refresh())];
-  refresh();
-  return {
-    unmount() {
-      for (const end of stop) end();
-    },
-  };
+  const running = () =>
+    app.state.jobs.filter((job) => OF_START.includes(job.kind) && isActive(job)).map(({ id }) => id);
+  let before = running();
+  function showJobs() {
+    showLines();
+    const now = running();
+    const hasEnded = before.some((id) => !now.includes(id));
+    before = now;
+    if (hasEnded && !openSample()) void refresh();
+  }
+
+  app.state.on("jobs", showJobs, until);
+  app.events.on("reconnected", refresh, until);
+  void refresh();
 }
 
 /** The progress of reading boxes of recordings or of a file, or of a copy, or the reason why that failed. */
 function importLine(/** @type {App} */ app, /** @type {string} */ project, /** @type {Set<string>} */ started) {
   return createJobLine(app, "import", () => {
-    const own = jobsOf(app, project, ...KINDS);
+    const own = jobsOf(app, project, ...OF_START);
     const isShown = own.length > 0 && (own[0].state === "failed" || started.has(own[0].id));
     return own.find(isActive) ?? (isShown ? own[0] : undefined);
   });

@@ -28,7 +28,8 @@ const ORIGINS = {
 /** Listed even without boxes: these compare proposals with drawing from scratch. */
 const ALWAYS = ["proposal accepted untouched", "proposal edited", "from nothing"];
 
-export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
+/** @type {Mode["mount"]} */
+export function mount(root, app, until) {
   const tiles = h("div.tiles", { "data-testid": "stats-tiles" });
   const tables = h("div.stack");
   const charts = createCharts("div.charts.three", [
@@ -49,7 +50,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       tables,
     ),
   );
-  let ended = false;
   /** @type {ReturnType<typeof setTimeout> | undefined} */
   let timer;
   let restsUntilMs = 0;
@@ -60,9 +60,9 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     try {
       /** @type {Api.ReportedStatistics} */
       const known = await app.api.get(app.path("statistics"));
-      if (!ended) show(known);
+      if (!until.aborted) show(known);
     } catch (error) {
-      if (!ended) patch(tiles, errorBox(error));
+      if (!until.aborted) patch(tiles, errorBox(error));
     } finally {
       restsUntilMs = performance.now() + REST * (performance.now() - beganMs);
     }
@@ -84,17 +84,14 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     timer ??= setTimeout(load, Math.max(0, restsUntilMs - performance.now()));
   }
 
-  const stop = [app.events.on("frame", loadSoon), app.events.on("reconnected", loadSoon)];
+  app.events.on("frame", loadSoon, until);
+  app.events.on("reconnected", loadSoon, until);
+  until.addEventListener("abort", () => {
+    clearTimeout(timer);
+    work.destroy();
+    charts.destroy();
+  });
   void load();
-  return {
-    unmount() {
-      ended = true;
-      clearTimeout(timer);
-      work.destroy();
-      for (const end of stop) end();
-      charts.destroy();
-    },
-  };
 }
 
 const originName = (/** @type {string} */ name) => ORIGINS[name] ?? name;

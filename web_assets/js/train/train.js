@@ -23,7 +23,8 @@ const NETWORKS = [
   ["yolo11m", "yolo11m: for a GPU"],
 ];
 
-export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
+/** @type {Mode["mount"]} */
+export function mount(root, app, until) {
   const material = h("div.cards");
   const line = createJobLine(app, "train");
   const curves = createCurves();
@@ -35,7 +36,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   const learning = createLearning(app);
   /** @type {Api.ModelList | null} */
   let known = null;
-  let ended = false;
 
   root.append(
     h(
@@ -55,7 +55,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     const { changes } = learning;
     /** @type {Api.ModelList} */
     const answer = await app.api.get(app.path("models"));
-    if (ended) return;
+    if (until.aborted) return;
     known = answer;
     // an answer from before a change is out of date
     if (changes === learning.changes) learning.show(answer);
@@ -85,29 +85,23 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
 
   const states = () => app.state.jobs.map(({ id, state }) => `${id}${state}`).join();
   let last = states();
-  const stop = [
-    app.state.on("jobs", () => {
-      show();
-      // new models and proposals change other parts of the page
-      const now = states();
-      if (now !== last) {
-        void load();
-        void app.refreshProject().then(() => !ended && show());
-      }
-      last = now;
-    }),
-    app.state.on("project", () => propose.show()),
-  ];
+  function showJobs() {
+    show();
+    // new models and proposals change other parts of the page
+    const now = states();
+    if (now !== last) {
+      void load();
+      void app.refreshProject().then(() => !until.aborted && show());
+    }
+    last = now;
+  }
+
+  app.state.on("jobs", showJobs, until);
+  app.state.on("project", () => propose.show(), until);
+  until.addEventListener("abort", curves.destroy);
   show();
   void load();
   void app.refreshProject();
-  return {
-    unmount() {
-      ended = true;
-      for (const end of stop) end();
-      curves.destroy();
-    },
-  };
 }
 
 /** A field for minutes, everywhere with the same limits. */
