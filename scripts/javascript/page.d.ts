@@ -148,7 +148,6 @@ type KeyHandler = (event: KeyboardEvent, key: string) => unknown;
 type Frames = ReturnType<typeof import("../../web_assets/js/frame_state.js").createFrameState>;
 type Viewport = ReturnType<typeof import("../../web_assets/js/viewport.js").createViewport>;
 type ViewportBar = ReturnType<typeof import("../../web_assets/js/viewport_bar.js").createViewportBar>;
-type JobLine = ReturnType<typeof import("../../web_assets/js/jobs.js").createJobLine>;
 
 /** The object that each mode receives; js/main.js creates it. */
 interface App {

@@ -32,6 +32,13 @@ export function checkbox(
   return h("input", { type: "checkbox", checked, "data-testid": testid, ...more });
 }
 
+/** A field for a number, which has no name beside it. */
+export const numberField = (
+  /** @type {string} */ testid,
+  /** @type {string} */ label,
+  /** @type {Attributes} */ more,
+) => h("input", { type: "number", "aria-label": label, "data-testid": testid, ...more });
+
 /** The values of those boxes that are ticked. */
 export const ticked = (/** @type {HTMLInputElement[]} */ boxes) =>
   boxes.filter((box) => box.checked).map((box) => box.value);
@@ -58,13 +65,16 @@ export function showProblem(/** @type {HTMLElement} */ box, /** @type {unknown} 
 }
 
 /**
- * Shows what was typed or chosen in a field the last time, and keeps it in this browser.
+ * Shows what was typed or chosen in a field of a form in this project the last time, and keeps it in this browser.
  *
  * @template {HTMLInputElement | HTMLSelectElement} T
- * @param {string} key of all its fields, unique.
+ * @param {App} app
+ * @param {string} of the form.
+ * @param {string} what the field.
  * @param {T} field
  */
-export function remembered(key, field) {
+export function remembered(app, of, what, field) {
+  const key = `${of} ${app.state.route.project} ${what}`;
   const name = field instanceof HTMLInputElement && field.type === "checkbox" ? "checked" : "value";
   const kept = localStorage.getItem(key);
   const before = field.value;

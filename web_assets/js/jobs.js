@@ -76,7 +76,8 @@ export function createJobForm(app, { name, label, content, request, show }) {
 
 /** Shows a job that was started; what an event has said of it before is newer. */
 export function takeJob(/** @type {App} */ app, /** @type {Api.Job} */ job) {
-  if (!app.state.jobs.some(({ id }) => id === job.id)) app.state.set({ jobs: [job, ...app.state.jobs] });
+  const { jobs } = app.state;
+  app.state.set({ jobs: jobs.some(({ id }) => id === job.id) ? jobs : [job, ...jobs] });
 }
 
 /** Reads all jobs. What is heard of a job meanwhile is newer. */
@@ -98,7 +99,8 @@ function duration(/** @type {number} */ seconds) {
 }
 
 /**
- * A line with the state of a job (by default the newest of its kind), its progress, and a button to stop it.
+ * A line with the state of a job (by default the newest of its kind), its progress, and a button to stop it. It follows the
+ * job as long as it is in the page, where it must be put at once.
  *
  * @param {App} app
  * @param {Api.Job["kind"]} kind
@@ -135,28 +137,30 @@ export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
     }
   }
 
-  return {
-    root,
-    show() {
-      const job = current();
-      root.hidden = !job;
-      if (!job) return;
-      root.dataset.state = job.state;
-      text.textContent = describe(job, app.state.jobs);
-      // boxes of classes that the project does not have are no success
-      const { unknown = {}, recordings } = /** @type {ImportResult} */ (job.result ?? {});
-      const classes = Object.keys(unknown);
-      const hasLeftOut = classes.length > 0;
-      if (hasLeftOut && recordings)
-        text.prepend(`Left out: the boxes of ${classes.join(", ")}, which the project does not have as classes. `);
-      text.className = `grow${job.state === "failed" ? " bad" : hasLeftOut ? " warn" : ""}`;
-      choose.hidden = !hasLeftOut || !recordings;
-      stop.hidden = !isActive(job);
-      bar.hidden = !isActive(job);
-      showProgress(bar, job);
-      left.textContent = job.state === "running" && job.eta_s !== null ? `about ${duration(job.eta_s)} left` : "";
-    },
-  };
+  function show() {
+    const job = current();
+    root.hidden = !job;
+    if (!job) return;
+    root.dataset.state = job.state;
+    text.textContent = describe(job, app.state.jobs);
+    // boxes of classes that the project does not have are no success
+    const { unknown = {}, recordings } = /** @type {ImportResult} */ (job.result ?? {});
+    const classes = Object.keys(unknown);
+    const hasLeftOut = classes.length > 0;
+    if (hasLeftOut && recordings)
+      text.prepend(`Left out: the boxes of ${classes.join(", ")}, which the project does not have as classes. `);
+    text.className = `grow${job.state === "failed" ? " bad" : hasLeftOut ? " warn" : ""}`;
+    choose.hidden = !hasLeftOut || !recordings;
+    stop.hidden = !isActive(job);
+    bar.hidden = !isActive(job);
+    showProgress(bar, job);
+    left.textContent = job.state === "running" && job.eta_s !== null ? `about ${duration(job.eta_s)} left` : "";
+  }
+
+  /** @type {() => unknown} */
+  const forget = app.state.on("jobs", () => (root.isConnected ? show() : forget()));
+  show();
+  return root;
 }
 
 /** Shows how far a job is, as far as that is known. */

@@ -34,7 +34,7 @@ async function begin(/** @type {ModeApp} */ app, /** @type {HTMLElement} */ body
     request: asked.request,
     show,
   });
-  body.replaceChildren(empty, form, line.root, result);
+  body.replaceChildren(empty, form, line, result);
 
   function show() {
     if (!app.state.project) return;
@@ -46,7 +46,6 @@ async function begin(/** @type {ModeApp} */ app, /** @type {HTMLElement} */ body
       ? "No boxes are in the chosen states."
       : `${count(chosen, "box", "boxes")}. You can leave this page while the dataset is being made.`;
     start.disabled = hasNone || isActive(latestJob(app, "export"));
-    line.show();
     const done = jobsOf(app, app.state.route.project, "export").find(({ state }) => state === "done");
     result.hidden = !done;
     if (done) patch(result, describe(done));

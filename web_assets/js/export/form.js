@@ -1,7 +1,7 @@
 /** The form of an export: format, states, classes, recordings, and the division of the frames into parts. */
 
 import { count, h } from "../dom.js";
-import { checkbox, field, group, remembered, select, ticked } from "../forms.js";
+import { checkbox, field, group, numberField, remembered, select, ticked } from "../forms.js";
 
 const STATES = [
   ["accepted", "accepted"],
@@ -27,7 +27,6 @@ export function createExportForm(
   /** @type {() => void} */ onChange,
 ) {
   const { classes, recordings } = app.state.project;
-  const kept = (/** @type {string} */ key) => `export ${app.state.route.project} ${key}`;
   const check = (
     /** @type {string} */ value,
     /** @type {boolean} */ checked,
@@ -38,13 +37,20 @@ export function createExportForm(
   const ofClasses = classes.map((name) => check(name, true));
   const ofRecordings = recordings.map(({ id, name }) => check(String(id), true, `recording-${name}`));
   const known = formats.map(({ name, summary }) => [name, `${name}: ${summary}`]);
-  const format = remembered(kept("format"), select(known, { "data-testid": "export-format", onchange: onChange }));
+  const format = remembered(
+    app,
+    "export",
+    "format",
+    select(known, { "data-testid": "export-format", onchange: onChange }),
+  );
   const pictures = select(PICTURES, { "data-testid": "export-pictures" });
   const picturesField = field("2D boxes on", pictures);
   const skip = check("skip", false, "skip-unreadable");
   const divide = check("divide", false, "divide");
   const shares = remembered(
-    kept("shares"),
+    app,
+    "export",
+    "shares",
     h("input", {
       value: "train=0.8,val=0.2",
       "aria-label": "Parts and their shares",
@@ -52,13 +58,7 @@ export function createExportForm(
     }),
   );
   const by = select(DIVISIONS, { "aria-label": "Split by", "data-testid": "export-split-by" });
-  const seed = h("input.number", {
-    type: "number",
-    value: 0,
-    min: 0,
-    "aria-label": "Random seed",
-    "data-testid": "export-seed",
-  });
+  const seed = numberField("export-seed", "Random seed", { class: "number", value: 0, min: 0 });
   const division = h("div.row", { hidden: true }, shares, by, "seed", seed);
 
   const several = (

@@ -4,7 +4,6 @@ import { newest, projectPath } from "../api.js";
 import { CANCEL, openDialog } from "../dialogs.js";
 import { count, h } from "../dom.js";
 import { checkbox, errorBox, field, select } from "../forms.js";
-import { takeJob } from "../jobs.js";
 import { createClassChoice } from "./class_choice.js";
 
 /** The server's limit. */
@@ -138,8 +137,7 @@ export async function importBoxes(app, name) {
     if (!sent) throw new Error("Choose a file with boxes first.");
     if (sent.ambiguous) throw new Error("Choose the recording of the boxes: several have frames of these names.");
     const names = await classes.take();
-    /** @type {Api.Job} */
-    const job = await app.api.post(projectPath(name, "jobs"), {
+    return app.api.post(projectPath(name, "jobs"), {
       kind: "boxes",
       upload: sent.id,
       names,
@@ -153,8 +151,6 @@ export async function importBoxes(app, name) {
           }
         : { box_kind: kind.value, lift: lift.checked }),
     });
-    takeJob(app, job);
-    return job;
   }
 
   showKind();

@@ -80,7 +80,10 @@ export function addRecordings(/** @type {App} */ app, /** @type {string} */ proj
       }
       if (added.some((one) => one.can_leave_out)) leaveOut("Leave these frames out", { labels: false });
       for (const text of new Set(added.flatMap(({ notes }) => notes))) say("reader-note", text);
-      if (job) done.append(jobLine(app, job));
+      if (job) {
+        takeJob(app, job);
+        done.append(createJobLine(app, "import", () => app.state.jobs.find(({ id }) => id === job.id)));
+      }
       if (note) done.append(errorBox(note, "recording-note"));
       // adding it again starts the job that could not be started, or adds other topics
       offer(pick, note || isBag ? "Add" : "Added");
@@ -142,18 +145,6 @@ function askMoved(
       return value;
     },
   });
-}
-
-/** The progress of reading the boxes, which continues when the dialog is closed. */
-function jobLine(/** @type {App} */ app, /** @type {Api.Job} */ job) {
-  takeJob(app, job);
-  const line = createJobLine(app, "import", () => app.state.jobs.find(({ id }) => id === job.id) ?? job);
-  const stop = app.state.on("jobs", () => {
-    if (line.root.isConnected) line.show();
-    else stop();
-  });
-  line.show();
-  return line.root;
 }
 
 function describe(/** @type {Api.AddedRecording} */ { recording, is_new, new_frames, left_out }) {

@@ -2,6 +2,7 @@
 
 import { projectPath } from "../api.js";
 import { editClasses } from "../classes/classes.js";
+import { STATES } from "../colors.js";
 import { button, count, glyph, h, iconButton } from "../dom.js";
 import { errorBox } from "../forms.js";
 import { guide } from "../guide.js";
@@ -11,13 +12,9 @@ import { importBoxes } from "./boxes_file.js";
 import { createMenu, createProject, createRemoved } from "./manage.js";
 import { addRecordings, locateRecording } from "./recordings.js";
 
-const STATES = ["proposed", "accepted", "edited", "rejected"];
-
 /** @type {Mode["mount"]} */
 export function mount(root, app, until) {
   const list = h("div.projects", { "aria-live": "polite" });
-  /** @type {JobLine[]} */
-  let lines = [];
   /** The projects whose cards are shown, as text. */
   let shown = "";
   /**
@@ -88,7 +85,7 @@ export function mount(root, app, until) {
 
   async function addBoxes(/** @type {string} */ name) {
     const job = await importBoxes(app, name);
-    if (job) started.add(job.id);
+    if (job) begun(job);
   }
 
   /** @type {CardActions} */
@@ -107,15 +104,14 @@ export function mount(root, app, until) {
       const menu = list.querySelector(":popover-open");
       const text = JSON.stringify(projects);
       // new cards would take an open menu away, and a click whose button is down
-      if (text === shown) return showLines();
+      if (text === shown) return;
       if (menu) return menu.addEventListener("toggle", refresh, { once: true });
       shown = text;
-      lines = projects.map(({ name }) => importLine(app, name, started));
-      const cards = projects.map((project, i) =>
-        card(project, actions, lines[i].root, createMenu(app, project, refresh, begun)),
-      );
+      const cards = projects.map((project) => {
+        const line = importLine(app, project.name, started);
+        return card(project, actions, line, createMenu(app, project, refresh, begun));
+      });
       list.replaceChildren(...(cards.length ? cards : [nothing()]));
-      showLines();
     } catch (error) {
       shown = "";
       list.replaceChildren(errorBox(error), h("div", button("Try again", refresh)));
@@ -133,15 +129,10 @@ export function mount(root, app, until) {
     );
   }
 
-  function showLines() {
-    for (const line of lines) line.show();
-  }
-
   const running = () =>
     app.state.jobs.filter((job) => OF_START.includes(job.kind) && isActive(job)).map(({ id }) => id);
   let before = running();
   function showJobs() {
-    showLines();
     const now = running();
     const hasEnded = before.some((id) => !now.includes(id));
     before = now;

@@ -4,6 +4,7 @@
  */
 
 import { createCharts, duration, number, percent, table } from "../charts.js";
+import { STATES } from "../colors.js";
 import { count, h, nothing, patch } from "../dom.js";
 import { errorBox } from "../forms.js";
 import { makeHash } from "../router.js";
@@ -15,7 +16,6 @@ const REST = 20;
 const MOST_VALUES = 12;
 /** Characters of a value that are shown. */
 const MOST_CHARACTERS = 40;
-const STATES = ["proposed", "accepted", "edited", "rejected"];
 /** @type {Record<string, string>} */
 const ORIGINS = {
   "proposal accepted untouched": "Proposal, accepted untouched",

@@ -1,8 +1,8 @@
 /** Proposes boxes on the chosen recordings, or from 2D boxes on the images, then links to their review. */
 
 import { button, count, h } from "../dom.js";
-import { checkbox, numberOf, remembered, ticked } from "../forms.js";
-import { createJobForm, createJobLine, isActive, latestJob, startJob } from "../jobs.js";
+import { checkbox, numberField, numberOf, remembered, ticked } from "../forms.js";
+import { createJobForm, createJobLine, isActive, latestJob, startJob, takeJob } from "../jobs.js";
 import { makeHash } from "../router.js";
 import { importBoxes, measuredBy } from "../start/boxes_file.js";
 
@@ -13,15 +13,10 @@ export function createPropose(/** @type {HTMLElement} */ host, /** @type {ModeAp
   const importButton = button("Import boxes …", addBoxes, { "data-testid": "import-boxes" });
   const choices = h("div.choices-list", { role: "group", "aria-label": "Recordings" });
   const limit = remembered(
-    `propose ${app.state.route.project} limit`,
-    h("input", {
-      type: "number",
-      min: 1,
-      step: 1,
-      placeholder: "all",
-      "aria-label": "Maximum number of frames",
-      "data-testid": "propose-limit",
-    }),
+    app,
+    "propose",
+    "limit",
+    numberField("propose-limit", "Maximum number of frames", { min: 1, step: 1, placeholder: "all" }),
   );
   const note = h("p.help");
   const review = h("a.button.primary-link", { "data-testid": "review-proposals" });
@@ -50,7 +45,7 @@ export function createPropose(/** @type {HTMLElement} */ host, /** @type {ModeAp
   const lift = h("div.row", { hidden: true, "data-testid": "lift" }, liftText, liftStart);
   host.append(
     h("header", h("h2", "Propose boxes"), h("span.grow"), importButton, review),
-    h("div.body.stack", boxesLine.root, lift, liftLine.root, form, line.root),
+    h("div.body.stack", boxesLine, lift, liftLine, form, line),
   );
   let toLift = 0;
 
@@ -64,12 +59,11 @@ export function createPropose(/** @type {HTMLElement} */ host, /** @type {ModeAp
   }
 
   async function addBoxes() {
-    if (await importBoxes(app, app.state.route.project)) show();
+    const job = await importBoxes(app, app.state.route.project);
+    if (job) takeJob(app, job);
   }
 
   function showLift(/** @type {Api.ProjectInfo} */ project) {
-    liftLine.show();
-    boxesLine.show();
     const view = measuredBy(project);
     lift.hidden = toLift === 0 || isActive(latestJob(app, "lift"));
     liftStart.disabled = !view;
@@ -87,7 +81,6 @@ export function createPropose(/** @type {HTMLElement} */ host, /** @type {ModeAp
       boxes.set(id, box);
       choices.append(h("label.row", box, h("span.ellipsis", name), h("span.muted.number", count(frames, "frame"))));
     }
-    line.show();
     showLift(project);
     const { image, stand_in } = project.detectors;
     const ready = image !== null && measuredBy(project) !== null;

@@ -1,7 +1,7 @@
 /** Train and propose: the training data, the running training, the models, and proposals. */
 
 import { count, h, nothing, patch } from "../dom.js";
-import { checkbox, field, numberOf, remembered, select } from "../forms.js";
+import { checkbox, field, numberField, numberOf, remembered, select } from "../forms.js";
 import { createJobForm, createJobLine, isActive, latestJob } from "../jobs.js";
 import { makeHash } from "../router.js";
 import { createCurves } from "./curves.js";
@@ -44,7 +44,7 @@ export function mount(root, app, until) {
       h(
         "section.panel",
         h("header", h("h2", "Train the detectors")),
-        h("div.body.stack", material, form, learning.root, line.root, h("div", curves.root)),
+        h("div.body.stack", material, form, learning.root, line, h("div", curves.root)),
       ),
       proposeHost,
       modelsHost,
@@ -64,7 +64,6 @@ export function mount(root, app, until) {
 
   function show() {
     const job = latestJob(app, "train");
-    line.show();
     curves.show(curvesOf(job, known));
     propose.show();
     // a round in the background stops for this one
@@ -106,27 +105,13 @@ export function mount(root, app, until) {
 
 /** A field for minutes, everywhere with the same limits. */
 const minutesField = (/** @type {string} */ label, /** @type {string} */ testid) =>
-  h("input", {
-    type: "number",
-    min: 0.5,
-    max: 1440,
-    step: 0.5,
-    value: MINUTES,
-    "aria-label": label,
-    "data-testid": testid,
-  });
+  numberField(testid, label, { min: 0.5, max: 1440, step: 0.5, value: MINUTES });
 
 /** The switch "Learn while I label". */
 function createLearning(/** @type {ModeApp} */ app) {
   const box = checkbox("learn-switch");
-  const every = h("input", {
-    type: "number",
-    min: 1,
-    max: 1000000,
-    value: LEARN_EVERY,
-    "aria-label": "Reviewed boxes between two rounds",
-    "data-testid": "learn-every",
-  });
+  const limits = { min: 1, max: 1000000, value: LEARN_EVERY };
+  const every = numberField("learn-every", "Reviewed boxes between two rounds", limits);
   const minutes = minutesField("Minutes of a round", "learn-minutes");
   let stored = "";
   let changes = 0;
@@ -176,26 +161,16 @@ function createLearning(/** @type {ModeApp} */ app) {
 }
 
 function createForm(/** @type {ModeApp} */ app, /** @type {() => unknown} */ show) {
-  /** @template {HTMLInputElement | HTMLSelectElement} T */
-  const kept = (/** @type {string} */ key, /** @type {T} */ input) =>
-    remembered(`train ${app.state.route.project} ${key}`, input);
-  const roles = ROLES.map(([role]) => kept(role, checkbox(`train-role-${role}`, true, { name: role })));
-  const sizes = ROLES.map(([role, label]) =>
-    kept(
-      `size ${role}`,
-      h("input", {
-        type: "number",
-        min: 32,
-        max: 2048,
-        step: 32,
-        placeholder: String(SIZES_PX[role]),
-        "aria-label": `Size of the pictures for the ${label.toLowerCase()}`,
-        "data-testid": `train-size-${role}`,
-      }),
-    ),
+  const roles = ROLES.map(([role]) =>
+    remembered(app, "train", role, checkbox(`train-role-${role}`, true, { name: role })),
   );
-  const minutes = kept("minutes", minutesField("Minutes of the training", "train-minutes"));
-  const model = kept("model", select(NETWORKS, { "data-testid": "train-model" }));
+  const sizes = ROLES.map(([role, label]) => {
+    const text = `Size of the pictures for the ${label.toLowerCase()}`;
+    const limits = { min: 32, max: 2048, step: 32, placeholder: String(SIZES_PX[role]) };
+    return remembered(app, "train", `size ${role}`, numberField(`train-size-${role}`, text, limits));
+  });
+  const minutes = remembered(app, "train", "minutes", minutesField("Minutes of the training", "train-minutes"));
+  const model = remembered(app, "train", "model", select(NETWORKS, { "data-testid": "train-model" }));
   const { form, start } = createJobForm(app, {
     name: "train",
     label: "Train",
