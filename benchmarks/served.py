@@ -219,9 +219,10 @@ def signed_in(browser: Browser, server: Server, operator: str = "Ada") -> Page:
     return page
 
 
-def open_frame(page: Page, project: str, frame: int | None) -> None:
-    """Opens a frame in Annotate (None: the queue's first one); waits for the image and the 3D view."""
-    page.goto(f"/#/{project}/annotate" + ("" if frame is None else f"/{frame}"))
+def open_frame(page: Page, project: str, frame: int | None, uid: str = "") -> None:
+    """Opens a frame in Annotate (None: the queue's first one), with a label selected; waits for image and 3D view."""
+    place = "" if frame is None else f"/{frame}" + (f"?uid={uid}" if uid else "")
+    page.goto(f"/#/{project}/annotate{place}")
     page.reload()
     until(page, "document.querySelector('[data-testid=viewport]')?.dataset.state === 'ready'", OPENS_WITHIN_S)
     until(page, "document.querySelector('img.picture')?.complete", OPENS_WITHIN_S)
@@ -252,15 +253,26 @@ def measured(page: Page) -> dict[str, float]:
     return times
 
 
-def draw_box(page: Page, box: tuple[float, float, float, float]) -> None:
-    """Draws a box on the camera image with the mouse: x_min, y_min, x_max, y_max, pixels of the image."""
+def on_page(page: Page, x: float, y: float) -> tuple[float, float]:
+    """Where a pixel of the camera image is on the page."""
     image = page.locator("[data-testid=image-editor] img.picture").first
     rect = image.evaluate("(i) => ({...i.getBoundingClientRect().toJSON(), w: i.naturalWidth, h: i.naturalHeight})")
-    x, y = rect["width"] / rect["w"], rect["height"] / rect["h"]
-    page.mouse.move(rect["left"] + (box[0] + 0.5) * x, rect["top"] + (box[1] + 0.5) * y)
+    return rect["left"] + (x + 0.5) * rect["width"] / rect["w"], rect["top"] + (y + 0.5) * rect["height"] / rect["h"]
+
+
+def drag(page: Page, start: tuple[float, float], end: tuple[float, float], key: str = "") -> None:
+    """Drags the mouse from one point of the page to another; a key is pressed before it is released."""
+    page.mouse.move(*start)
     page.mouse.down()
-    page.mouse.move(rect["left"] + (box[2] + 0.5) * x, rect["top"] + (box[3] + 0.5) * y, steps=4)
+    page.mouse.move(*end, steps=4)
+    if key:
+        page.keyboard.press(key)
     page.mouse.up()
+
+
+def draw_box(page: Page, box: tuple[float, float, float, float]) -> None:
+    """Draws a box on the camera image with the mouse: x_min, y_min, x_max, y_max, pixels of the image."""
+    drag(page, on_page(page, *box[:2]), on_page(page, *box[2:]))
 
 
 def wait_for_frame(page: Page, frame: int) -> None:
