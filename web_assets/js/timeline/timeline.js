@@ -7,6 +7,7 @@
 import { classColor } from "../colors.js";
 import { h, iconButton, patch } from "../dom.js";
 import { makeHash } from "../router.js";
+import { onTheme } from "../theme.js";
 import {
   classOf,
   describe,
@@ -356,7 +357,7 @@ export function mountTimeline(/** @type {HTMLElement} */ root, /** @type {App} *
   });
   app.keys.register({ timeline: () => setFolded(!isFolded) });
   new ResizeObserver(drawSoon).observe(root);
-  new MutationObserver(drawSoon).observe(document.documentElement, { attributeFilter: ["data-theme"] });
+  onTheme(drawSoon);
   show();
 }
 
