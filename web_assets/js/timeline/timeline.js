@@ -4,9 +4,10 @@
  * tells in `state.span` which part of a track is selected. Lanes that are out of sight are not drawn.
  */
 
-import { classColor } from "../colors.js";
+import { classColor, onTheme } from "../colors.js";
 import { h, iconButton, patch } from "../dom.js";
 import { makeHash } from "../router.js";
+import { onTheme } from "../theme.js";
 import {
   classOf,
   describe,
@@ -356,7 +357,7 @@ export function mountTimeline(/** @type {HTMLElement} */ root, /** @type {App} *
   });
   app.keys.register({ timeline: () => setFolded(!isFolded) });
   new ResizeObserver(drawSoon).observe(root);
-  new MutationObserver(drawSoon).observe(document.documentElement, { attributeFilter: ["data-theme"] });
+  onTheme(drawSoon);
   show();
 }
 
