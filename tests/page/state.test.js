@@ -110,6 +110,11 @@ test("items of other frames stay, and an undo reads the queue again", async () =
   assert.equal(reads(), 1);
   mock.timers.tick(2000);
   assert.equal(reads(), 2);
+  // the frames of a moment have the same labels
+  const other = frameState(4, []);
+  other.frame.cameras = { 1: 1, 2: 2 };
+  queue.settle(other);
+  assert.deepEqual(queue.items, []);
   mock.timers.reset();
 });
 
@@ -256,7 +261,7 @@ test("nothing is loaded ahead while a sheet is open", async () => {
   assert.deepEqual(asked, []);
   release();
   await settled();
-  assert.deepEqual(asked, ["frames/2"]);
+  assert.deepEqual(asked, ["frames/2?best_for=next"]);
 });
 
 test("a long import is polled less and less often", async () => {

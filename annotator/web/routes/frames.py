@@ -191,9 +191,9 @@ def beside(at: AtFrame) -> Beside:
 
 
 @router.get("/api/projects/{name}/frames/{frame_id}", response_model=FrameStateJson)
-def frame(at: AtFrame) -> JSONResponse:
-    """All data of a frame that the page shows."""
-    return ModelResponse(at.state())
+def frame(at: AtFrame, best_for: Uid | None = None) -> JSONResponse:
+    """All data of a frame that the page shows; `best_for`: of the camera of its moment that sees this label best."""
+    return ModelResponse(at.state(best_for))
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/changes", response_model=ChangedJson, responses=STALE)

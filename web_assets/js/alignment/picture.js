@@ -205,7 +205,7 @@ export function createPicturePanel(recordings, { onRecording, onMissing }) {
   const header = h(
     "header",
     {},
-    h("h2", { class: "ellipsis" }, "Cloud over image"),
+    h("h1", { class: "ellipsis" }, "Cloud over image"),
     chosen,
     h("span", { class: "grow" }),
     h("label", { class: "row" }, points, "points"),

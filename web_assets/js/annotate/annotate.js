@@ -72,7 +72,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   const { go } = opening;
   const goInQueue = (/** @type {Target} */ target) => go(target, true);
   const queueList = createQueueList(parts.queue, app, queue, { open: goInQueue });
-  const boxList = createBoxList(parts.boxes, app, desk, () => teach);
+  const boxList = createBoxList(parts.boxes, app, desk, () => teach, showBest);
   const picker = createNextClass(parts.classes, app);
   const preload = createPreload(app, desk, queue);
   const sheet = createSheet(app, {
@@ -112,6 +112,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   const scene = createScene(parts.scene, app, desk, () => teach);
   const map = createMap(parts.map, app, desk, {
     onPlace: (point) => commands.placeAt(point),
+    onOpen: showBest,
     onClose: () => turnMap(false),
   });
   turnMap(localStorage.getItem(MAP_KEPT) === "true");
@@ -217,6 +218,11 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     map.turn(on);
   }
 
+  /** Goes to the camera that sees a box of the moment best. */
+  function showBest(/** @type {string} */ uid) {
+    if (opening.opened !== null && desk.stored(uid)) void go({ frame: opening.opened, uid });
+  }
+
   function setGizmo(/** @type {Api.Gizmo} */ mode) {
     scene.setGizmo(mode);
     showActions();
@@ -273,6 +279,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       "previous-of-track": once(() => commands.whenCalm(() => tracks.step(-1))),
       "next-box": () => commands.stepBox(1),
       "previous-box": () => commands.stepBox(-1),
+      "next-camera": once(() => commands.whenCalm(commands.nextCamera)),
       "next-frame": () => opening.step("next"),
       "previous-frame": () => opening.step("previous"),
       "draw-box": once(commands.draw),

@@ -223,7 +223,7 @@ function projectTable(/** @type {Api.ReportedStatistics} */ known) {
   const counted = rows.map(([name, value]) => [name, number(value, 0)]);
   return section(
     "The project",
-    table(["", "Number"], [...counted, ["View detector in use", known.view_detector ?? "none"]], "stats-project"),
+    table(["What", "Number"], [...counted, ["View detector in use", known.view_detector ?? "none"]], "stats-project"),
   );
 }
 

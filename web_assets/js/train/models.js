@@ -150,8 +150,8 @@ export function createModelList(
         ...COLUMNS.map(([, text]) => text),
         "Held-out IoU",
         "Boxes enclose",
-        "",
-        "",
+        "Use",
+        "Examples",
       ];
       patch(
         table,
