@@ -92,6 +92,7 @@ export const KEYS = [
     ["previous-of-track", ["Shift+P"], "Previous frame of this object", ["Shift", "P"]],
   ]),
   ...rows("View", ANNOTATE, [
+    ["areas", ["Q"], "The main place for the next area: image, 3D view, object"],
     ["top-view", ["M"], "Top view (a map) or 3D view"],
     ["points-larger", ["+", "="], "Larger points", ["+"]],
     ["points-smaller", ["-"], "Smaller points"],

@@ -15,6 +15,7 @@ import { createFrameProblem } from "../frame_problem.js";
 import { showHints } from "../messages.js";
 import { addRecordings } from "../start/recordings.js";
 import { createActions } from "./actions.js";
+import { createAreas } from "./areas.js";
 import { createNextClass } from "./class_picker.js";
 import { createCommands } from "./commands.js";
 import { createDesk, isOpen } from "./desk.js";
@@ -34,7 +35,7 @@ import { createTracks, OPERATIONS } from "./tracks.js";
 
 /** Whether the top view is shown in place of the 3D view. */
 const MAP_KEPT = "top-view";
-/** A picture with a greater ratio of width to height gets a wider panel. */
+/** A picture with a greater ratio of width to height gets a wider place. */
 const WIDE_ASPECT = 1.9;
 
 /** For a key that acts on one box only: while it is held down, it does not act on the following ones. */
@@ -51,6 +52,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   }
   const parts = layout();
   root.append(parts.root);
+  const areas = createAreas(parts.root);
   showHints(parts.problem, parts.hint, parts.saving);
   const desk = createDesk(app);
   const queue = createQueue(app, showQueue);
@@ -284,6 +286,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
         ortho.fit();
         teach.fit();
       },
+      areas: once(areas.swap),
       "top-view": once(() => turnMap(!map.isShown)),
       teach: once(() => teach.turn(!teach.isOn)),
       "next-whole-box": once(() => teach.nextWhole()),
@@ -416,12 +419,9 @@ export function layout() {
   const part = (/** @type {string} */ name, /** @type {string} */ label) =>
     h("section", { class: `panel ${name}`, "aria-label": label });
   const queue = part("queue", "Queue");
-  const boxes = h("div", { class: "panel of-frame" });
-  const track = h("div", { class: "of-track" });
-  const ofFrame = part("frame-boxes", "Boxes of this frame");
-  ofFrame.append(boxes, track);
+  const boxes = part("of-frame", "Boxes of this frame");
   const classes = part("next-class", "Class of the next box");
-  const imagePanel = part("image", "Camera image");
+  const image = part("image", "Camera image");
   const scene = part("scene", "3D view");
   const sceneHead = h("header", {});
   scene.append(sceneHead);
@@ -430,16 +430,21 @@ export function layout() {
   const object = h("div", { class: "object" }, ortho);
   const problem = h("span", {});
   const fields = part("fields", "Selected box");
+  const track = h("div", { class: "of-track" });
   const actions = h("div", { class: "actions", role: "toolbar", "aria-label": "Actions" });
   const saving = h("span", { class: "muted", role: "status", "data-testid": "saving" });
   const hint = h("span", { class: "ellipsis", role: "status", "data-testid": "image-note" });
   const root = h(
     "div",
     { class: "annotate" },
-    h("div", { class: "side" }, queue, ofFrame, classes),
-    h("div", { class: "pictures" }, imagePanel, scene, map),
-    actions,
-    h("div", { class: "details" }, object, fields),
+    h("h1", { class: "visually-hidden" }, "Annotate"),
+    h("div", { class: "lists" }, queue, boxes, classes),
+    image,
+    scene,
+    map,
+    h("div", { class: "bar" }, actions),
+    object,
+    h("div", { class: "numbers" }, fields, track),
   );
   return {
     root,
@@ -448,7 +453,7 @@ export function layout() {
     boxes,
     track,
     classes,
-    image: imagePanel,
+    image,
     scene,
     sceneHead,
     map,

@@ -7,6 +7,7 @@
 import { classColor, onTheme } from "../colors.js";
 import { h, iconButton, patch } from "../dom.js";
 import { makeHash } from "../router.js";
+import { onTheme } from "../theme.js";
 import {
   classOf,
   describe,
