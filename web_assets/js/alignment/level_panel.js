@@ -10,7 +10,11 @@ import { rotationOf } from "./picture.js";
 const LEVEL = upOf({ roll: 0, pitch: 0 });
 
 /** What the project's setting of rotation says of its boxes. @type {Record<string, string>} */
-const ROTATIONS = { auto: "upright where up is known, else of any rotation", upright: "upright", free: "of any rotation" };
+const ROTATIONS = {
+  auto: "upright where up is known, else of any rotation",
+  upright: "upright",
+  free: "of any rotation",
+};
 
 /**
  * @param {{ rotation: () => unknown, onChange: () => void, onPropose: () => unknown, onDiscard: () => void,
