@@ -239,7 +239,7 @@ PLACES: dict[str, Callable[[Page], None]] = {
     "keys": at("room/statistics", "help"),
     "missing": at("no-such-project/annotate"),
     "annotate-frame": at("room/annotate/3", key="Tab"),
-    "annotate-queue": at("room/annotate", "queue-item"),
+    "annotate-queue": at("room/annotate/8", "queue-item"),
     "annotate-open": at("fresh/annotate/1"),
     "annotate-drawn": drawn,
     "annotate-empty": at("nothing/annotate"),
