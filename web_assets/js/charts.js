@@ -1,8 +1,8 @@
 /** Charts, drawn by plotly. Its script comes from the server and is loaded when the first chart is drawn. */
 
-import { onTheme } from "./colors.js";
 import { h } from "./dom.js";
 import { messageOf } from "./errors.js";
+import { onTheme } from "./theme.js";
 
 const SCRIPT = "/assets/vendor/plotly.min.js";
 

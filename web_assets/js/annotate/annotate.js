@@ -13,6 +13,7 @@ import { askClass } from "../classes/picker.js";
 import { button, h } from "../dom.js";
 import { createFrameProblem } from "../frame_problem.js";
 import { showHints } from "../messages.js";
+import { addRecordings } from "../start/recordings.js";
 import { createActions } from "./actions.js";
 import { createAreas } from "./areas.js";
 import { createNextClass } from "./class_picker.js";
@@ -46,7 +47,7 @@ const once =
 export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
   root.classList.add("fixed");
   if (app.state.project.frames === 0) {
-    root.append(emptyProject(app.state.project.name));
+    root.append(emptyProject(app));
     return { unmount() {} };
   }
   const parts = layout();
@@ -473,12 +474,22 @@ export function layout() {
 }
 
 /** Shown in place of the panels if the project has no frame. */
-export function emptyProject(/** @type {string} */ name) {
+export function emptyProject(/** @type {ModeApp} */ app) {
+  const { name } = app.state.project;
+  const add = async () => {
+    await addRecordings(app, name);
+    await app.refreshProject();
+    app.go(location.hash);
+  };
   return h(
     "div",
     { class: "empty", "data-testid": "no-frames" },
     h("h2", {}, `${name} has no recording yet`),
-    h("p", {}, "Add one on the start page; its frames are then shown here."),
-    h("a", { class: "button", href: "#/" }, "Go to the start page"),
+    h(
+      "p",
+      {},
+      "A recording is a folder or file of images and depth, of point clouds, or of both. Its files stay where they are.",
+    ),
+    button("Add recordings", add, { class: "primary" }),
   );
 }

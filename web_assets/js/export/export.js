@@ -57,7 +57,7 @@ async function begin(
   );
   const form = h(
     "form",
-    { class: "stack", "data-testid": "export-form" },
+    { class: "stack choices-of-export", "data-testid": "export-form" },
     asked.parts,
     problem,
     h("div", { class: "row" }, start, note),

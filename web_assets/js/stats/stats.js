@@ -131,7 +131,7 @@ function tilesOf(
     ["Seconds per box", number(effort.seconds_a_box), change],
     ["Actions per box", number(effort.actions_a_box), "keys, clicks and drags that change something"],
     ["Accepted untouched", percent(accepted_untouched), "of the reviewed proposals"],
-    ["IoU of proposal and final box", number(iou_proposal_to_final, 2), "mean 3D overlap; 1 = same box"],
+    ["Proposals", number(iou_proposal_to_final, 2), "mean 3D overlap (IoU) with the final box; 1 = same"],
     ["Work left", duration(hours_left?.expected), left],
   ].map(([name, value, help]) =>
     h(
