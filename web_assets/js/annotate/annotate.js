@@ -269,7 +269,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       "follow-all": once(() => commands.followAll("forward")),
       "follow-all-back": once(() => commands.followAll("backward")),
       "copy-next": once(() => commands.whenCalm(() => tracks.copyToNext())),
-      carry: once(() => commands.whenCalm(() => tracks.carry())),
       ...Object.fromEntries(
         Object.entries(OPERATIONS)
           .filter(([, { key }]) => key)
