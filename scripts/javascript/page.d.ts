@@ -166,7 +166,7 @@ interface App {
   /** Reads the project's summary again, into state.project. */
   refreshProject(): Promise<void>;
   /** Reads a frame into state.frame, and reports to the other pages that it is open here. */
-  loadFrame(id: number): Promise<FrameState>;
+  loadFrame(id: number, bestFor?: string | null): Promise<FrameState>;
   /** Saves everything. False if something cannot be saved and the operator stays with it. */
   mayLeave(): Promise<boolean>;
   /** Sets the address back to the frame that is shown. */

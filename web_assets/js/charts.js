@@ -2,6 +2,7 @@
 
 import { h } from "./dom.js";
 import { messageOf } from "./errors.js";
+import { onTheme } from "./theme.js";
 
 const SCRIPT = "/assets/vendor/plotly.min.js";
 
@@ -83,19 +84,14 @@ export function createCharts(tag, figures) {
     for (const [i, [, , make]] of figures.entries()) void react(plotly, hosts[i], make(data, colors), colors);
   }
 
-  const redraw = () => void (shown && draw(...shown));
-  const watcher = new MutationObserver(redraw);
-  watcher.observe(document.documentElement, { attributeFilter: ["data-theme"] });
-  const scheme = matchMedia("(prefers-color-scheme: dark)");
-  scheme.addEventListener("change", redraw);
+  const stop = onTheme(() => void (shown && draw(...shown)));
 
   return {
     root,
     draw,
     destroy() {
       ended = true;
-      watcher.disconnect();
-      scheme.removeEventListener("change", redraw);
+      stop();
       for (const host of hosts) plotly?.purge(host);
     },
   };

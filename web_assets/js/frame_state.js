@@ -37,10 +37,11 @@ export function createFrameState(/** @type {App} */ app) {
       return true;
     },
 
-    /** Reads a frame and opens it. */
-    async open(/** @type {number} */ id, /** @type {RequestOptions} */ options) {
+    /** Reads a frame and opens it, or that of its moment in which a camera sees a label best. */
+    async open(/** @type {number} */ id, /** @type {string | null} */ bestFor, /** @type {RequestOptions} */ options) {
+      const query = bestFor === null ? "" : `?best_for=${encodeURIComponent(bestFor)}`;
       /** @returns {Promise<FrameState>} */
-      const read = () => app.api.get(app.path("frames", id), options);
+      const read = () => app.api.get(`${app.path("frames", id)}${query}`, options);
       let frame = await read();
       for (let reads = 1; reads < MOST_READS && isOutdated(frame); reads += 1) frame = await read();
       hasMissed = false;

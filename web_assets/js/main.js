@@ -98,13 +98,15 @@ async function refreshProject() {
   if (app.state.route.project === name) app.state.set({ project });
 }
 
-/** Loads and opens a frame. A newer call cancels older ones. */
-async function loadFrame(/** @type {number} */ id) {
+/**
+ * Loads and opens a frame, or that of its moment in which a camera sees a label best. A newer call cancels older ones.
+ */
+async function loadFrame(/** @type {number} */ id, /** @type {string | null} */ bestFor = null) {
   frameRequest?.abort();
   frameRequest = new AbortController();
   try {
-    const frame = await app.frames.open(id, { signal: frameRequest.signal });
-    app.events.openFrame(id);
+    const frame = await app.frames.open(id, bestFor, { signal: frameRequest.signal });
+    app.events.openFrame(frame.frame.id);
     return frame;
   } catch (error) {
     if (!isAborted(error)) {

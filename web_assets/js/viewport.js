@@ -9,6 +9,7 @@
 import { h } from "./dom.js";
 import { ApiError } from "./errors.js";
 import { createPace } from "./pace.js";
+import { onTheme, themeNow } from "./theme.js";
 import { createViewportBar } from "./viewport_bar.js";
 
 /** @typedef {{ project: string, scene: Scene3D }} Wanted */
@@ -74,6 +75,7 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   window.addEventListener("resize", follow);
   window.addEventListener("scroll", follow, { capture: true, passive: true });
   window.addEventListener("pagehide", leave);
+  onTheme(() => look(null));
   const graphics = lookAtGraphics();
   const pace = createPace(graphics === "software" ? SOFTWARE.moving : Infinity);
   if (graphics === "none") say("unsupported", NO_WEBGL);
@@ -174,6 +176,7 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     const answer = await app.api.put(`/api/workbench/${bench.id}/scene`, {
       ...detail,
       ...bar.settings,
+      theme: themeNow(),
       colors,
       ...scene,
     });

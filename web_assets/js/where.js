@@ -180,7 +180,6 @@ export function createWhere(/** @type {App} */ app) {
   state.on("timeline", goAsked);
   app.keys.register({
     "go-to-frame": askFrame,
-    "next-camera": () => stepCamera(1),
     "previous-camera": () => stepCamera(-1),
   });
   show();

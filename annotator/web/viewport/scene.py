@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.ground import find_ground
 from annotator.rcv.pseudo_view import BACKGROUND
-from annotator.types import Frame, OrientedBox, PointCloud, ReviewState
+from annotator.types import Frame, OrientedBox, PointCloud
 from annotator.web.viewport.drawing import (
     CAMERA_UP,
     Draft,
@@ -29,6 +29,8 @@ from annotator.web.viewport.drawing import (
 )
 from annotator.web.viewport.faces import FaceHandles
 from annotator.web.viewport.guides import Look, Stand, arrow_lines, guide_lines, scene_reach_m, stand
+from annotator.web.viewport.palette import Color, Palette
+from annotator.web.viewport.viser_page import configure_theme
 
 if TYPE_CHECKING:
     import viser
@@ -37,17 +39,6 @@ if TYPE_CHECKING:
 
     OnGizmo = Callable[[viser.TransformControlsEvent], Coroutine[None, None, None]]
 
-# The same colours as in the page (web_assets/js/annotate/drawing.js).
-STATE_COLORS: dict[ReviewState, tuple[int, int, int]] = {
-    ReviewState.PROPOSED: (240, 173, 78),
-    ReviewState.ACCEPTED: (95, 202, 133),
-    ReviewState.EDITED: (106, 174, 245),
-    ReviewState.REJECTED: (154, 161, 173),
-}
-# Share by which the selected box's colour is shifted towards white.
-BRIGHTER = 0.45
-DRAFT_COLOR = (255, 214, 10)
-FRUSTUM_COLOR = (200, 204, 212)
 AXIS_COLOR = (255, 59, 48)
 HAIR_PX, THIN_PX, THICK_PX = 1.0, 1.6, 4.0
 # Opacity of a pseudo-view's empty pixels, 0..255.
@@ -92,12 +83,16 @@ class Scene:
             hold_gizmo: keep the selected box, its gizmo and its handles as they are, during a drag.
         """
         before, self.content = self.content, content
+        is_new_theme = content.theme is not before.theme
         with self._server.atomic():
+            if is_new_theme:
+                configure_theme(self._server, content.theme)
             if content.frame is not before.frame and content.frame is not None:
                 self._ground = find_ground(content.frame.cloud.xyz_m, scene_up(content.frame))
                 if content.key != before.key:
                     self._reach_m = scene_reach_m(content.frame)
-                lines, colors = guide_lines(content.frame, self._ground, self._reach_m)
+            if content.frame is not None and (content.frame is not before.frame or is_new_theme):
+                lines, colors = guide_lines(content.frame, self._ground, self._reach_m, content.palette)
                 self._lines(GUIDES, lines, _light(colors), HAIR_PX)
             if content.frame is None:
                 self._remove(GUIDES)
@@ -107,7 +102,7 @@ class Scene:
             counts = self._show_cloud(before)
             self._show_boxes()
             self._show_selected(hold_gizmo)
-            if content.draft is not before.draft or content.frame is not before.frame:
+            if content.draft is not before.draft or content.frame is not before.frame or is_new_theme:
                 self._show_draft(content.draft, content.frame)
         self._server.flush()
         return counts
@@ -130,7 +125,7 @@ class Scene:
             self._api.add_point_cloud(
                 CLOUD,
                 points.xyz_m,
-                point_colors(points, content.color, self._ground, content.boxes),
+                self._point_colors(),
                 point_size=self._point_size_m * content.point_size,
                 point_shape="square",
                 point_shading="flat",
@@ -139,9 +134,13 @@ class Scene:
         elif len(self._points):
             cloud: Any = self._api.get_handle_by_name(CLOUD)
             if content.colors_key != before.colors_key:
-                cloud.colors = point_colors(self._points, content.color, self._ground, content.boxes)
+                cloud.colors = self._point_colors()
             cloud.point_size = self._point_size_m * content.point_size
         return len(self._points), len(frame.cloud)
+
+    def _point_colors(self) -> UInt8[np.ndarray, "n 3"]:
+        content = self.content
+        return point_colors(self._points, content.color, self._ground, content.palette, content.boxes)
 
     # --- boxes -----------------------------------------------------------------------------------------------------
 
@@ -155,7 +154,7 @@ class Scene:
             return
         lines = [placed_box_lines(shown.box) for shown in rest]
         colors = [
-            np.broadcast_to(_light(shown.color or STATE_COLORS[shown.state]), part.shape)
+            np.broadcast_to(_light(shown.color or self.content.palette.states[shown.state]), part.shape)
             for shown, part in zip(rest, lines, strict=True)
         ]
         self._lines(BOXES, np.concatenate(lines), np.concatenate(colors), THIN_PX)
@@ -177,7 +176,7 @@ class Scene:
         """Draws the selected box, with its gizmo and handles, as this one."""
         selected, gizmo = self.content.selected_box, self.gizmo
         assert selected is not None
-        color = _light(_brighter(selected.color or STATE_COLORS[selected.state]))
+        color = _light(_selected(selected.color or self.content.palette.states[selected.state], self.content.palette))
         self._lines(SELECTED_LINES, box_lines(box.size_m), color, THICK_PX)
         gizmo.scale = max(GIZMO_SHARE * float(box.size_m.max()), GIZMO_LEAST_M)
         gizmo.position = box.center_m
@@ -199,11 +198,11 @@ class Scene:
         if draft is None or frame is None:
             self._remove("/draft")
             return
-        self._lines(FRUSTUM, frustum_lines(frame, draft.image_box), _light(FRUSTUM_COLOR), THIN_PX)
+        self._lines(FRUSTUM, frustum_lines(frame, draft.image_box), _light(self.content.palette.frustum), THIN_PX)
         if draft.box is None:
             self._remove(DRAFT_BOX)
         else:
-            self._lines(DRAFT_BOX, placed_box_lines(draft.box), _light(DRAFT_COLOR), THICK_PX)
+            self._lines(DRAFT_BOX, placed_box_lines(draft.box), _light(self.content.palette.draft), THICK_PX)
         self._show_views(draft)
 
     def _show_views(self, draft: Draft) -> None:
@@ -268,12 +267,13 @@ def _move(camera: viser.CameraHandle | viser.InitialCameraConfig, up: str, to: S
     camera.fov, camera.position, camera.look_at = to.fov_rad, to.position_m, to.look_at_m
 
 
-def _brighter(color: tuple[int, int, int]) -> tuple[int, int, int]:
-    red, green, blue = (round(level + BRIGHTER * (255 - level)) for level in color)
+def _selected(color: Color, palette: Palette) -> Color:
+    level, share = palette.selected
+    red, green, blue = (round(old + share * (level - old)) for old in color)
     return red, green, blue
 
 
-def _light(color: tuple[int, int, int] | UInt8[np.ndarray, "*k 3"]) -> UInt8[np.ndarray, "*k 3"]:
+def _light(color: Color | UInt8[np.ndarray, "*k 3"]) -> UInt8[np.ndarray, "*k 3"]:
     """An sRGB colour as linear light, which the browser's line shader expects."""
     return np.round(255 * (np.array(color) / 255) ** 2.2).astype(np.uint8)
 

@@ -90,9 +90,8 @@ export function createCorrectionPanel({ onChange, onKeep, onDiscard }) {
       noTimes.hidden = isVirtual || known.images.length > 0;
       effect.textContent = isVirtual
         ? "The image is drawn from the cloud itself, so there is no calibration to correct."
-        : `For all frames of ${known.name}: ${count(labels, "3D box", "3D boxes")} and the boxes on pseudo-views ` +
-          "stay where they are in the cloud, so they move on the image with it; outlines and 2D boxes are projected " +
-          "anew. Boxes drawn on images stay. The next training makes its pictures anew. Undo restores everything.";
+        : `Holds for all frames of ${known.name}. ${count(labels, "3D box stays", "3D boxes stay")} in the cloud, and ` +
+          "on the image they move with it. 2D boxes drawn on images stay there. Undo restores everything.";
       offsetNote.textContent =
         `${count(drawn, "frame has", "frames have")} boxes that were drawn on the image. With this time offset ` +
         "they are on another image: draw them again.";

@@ -95,7 +95,7 @@ export function createPicture(recordings, { onRecording, onMissing }) {
 
   const header = h(
     "header",
-    h("h2.ellipsis", "Cloud over image"),
+    h("h1.ellipsis", "Cloud over image"),
     chosen,
     h("span.grow"),
     h("label.row", points, "points"),

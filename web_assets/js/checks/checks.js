@@ -69,12 +69,7 @@ export function mount(root, app, until) {
           href("export"),
           "Export the boxes",
         )
-      : nothing(
-          "No boxes yet",
-          "Label objects, or let the detectors propose some.",
-          href("annotate"),
-          "Label objects",
-        );
+      : nothing("No boxes yet", "Draw some, or let the detectors propose them.", href("annotate"), "Annotate");
     said.classList.add("panel");
     said.dataset.testid = "no-warnings";
     return said;

@@ -80,6 +80,7 @@ async function begin(/** @type {ModeApp} */ app, /** @type {HTMLElement} */ body
     request,
     show,
   });
+  form.classList.add("choices-of-export");
   form.addEventListener("change", show);
   const line = createJobLine(app, "export");
   const result = h("div.stack", { "data-testid": "export-result" });

@@ -338,5 +338,10 @@ function makeEntry(
   if (entry.recording === null) return h("li", openButton);
   /** @type {HTMLButtonElement} */
   const pick = button(text, () => onPick(entry, pick), { class: "primary", "data-testid": `${testid}-${entry.name}` });
-  return h("li.entry.recording", entry.is_folder ? openButton : name, h("span.chip.format", entry.recording), pick);
+  return h(
+    "li.entry.recording",
+    entry.is_folder ? openButton : name,
+    h("span.chip.format", entry.recording.replaceAll("_", " ")),
+    pick,
+  );
 }

@@ -12,6 +12,16 @@ import { importBoxes } from "./boxes_file.js";
 import { createMenu, createProject, createRemoved } from "./manage.js";
 import { addRecordings, locateRecording } from "./recordings.js";
 
+/** Classes that a card names; of more, it says how many there are. */
+const NAMED = 8;
+/** From a drag to a dataset. @type {["drag" | "box" | "track" | "download", string, string][]} */
+const STEPS = [
+  ["drag", "Drag a 2D box", "around an object on the camera image."],
+  ["box", "Take the 3D box", "that is measured in the points, or correct it."],
+  ["track", "Follow it", "through the recording, and review what was found."],
+  ["download", "Export", "in the format of your training: KITTI, nuScenes, OpenLABEL …"],
+];
+
 /** @type {Mode["mount"]} */
 export function mount(root, app, until) {
   const list = h("div.projects", { "aria-live": "polite" });
@@ -26,22 +36,25 @@ export function mount(root, app, until) {
   /** Id of the job that makes a sample for this operator. */
   let sample = "";
   const removed = createRemoved(app, refresh);
+  /** To begin a project; where there is none yet, the list has it. */
+  const begin = h("div.row");
   root.append(
     h(
       "div.page.start",
-      h("div.row", h("h1.grow", "Projects"), sampleButton(), newButton()),
+      h("div.row", h("h1.grow", "Projects"), begin),
       list,
       removed.root,
       h("p.help", app.state.version ? `annotator ${app.state.version}` : ""),
     ),
   );
 
-  function newButton() {
-    return button([glyph("plus"), "New project"], make, { class: "primary", "data-testid": "new-project" });
+  function newButton(look = "primary") {
+    return button([glyph("plus"), "New project"], make, { class: look, "data-testid": "new-project" });
   }
 
-  function sampleButton() {
+  function sampleButton(look = "") {
     return button("Try a sample project", makeSample, {
+      class: look,
       title: "Makes a project with a generated recording, in some seconds, and shows what to do with it",
       "data-testid": "sample-project",
     });
@@ -97,6 +110,8 @@ export function mount(root, app, until) {
   };
 
   async function refresh() {
+    // signed out: the page is loaded again after the next sign-in
+    if (!app.state.operator) return;
     try {
       /** @type {Api.ProjectSummary[]} */
       const projects = await app.api.get("/api/projects");
@@ -111,6 +126,7 @@ export function mount(root, app, until) {
         const line = importLine(app, project.name, started);
         return card(project, actions, line, createMenu(app, project, refresh, begun));
       });
+      begin.replaceChildren(...(cards.length ? [sampleButton(), newButton()] : []));
       list.replaceChildren(...(cards.length ? cards : [nothing()]));
     } catch (error) {
       shown = "";
@@ -123,9 +139,12 @@ export function mount(root, app, until) {
       "div.panel.empty",
       { "data-testid": "no-projects" },
       h("h2", "No project yet"),
-      h("p", "A project has recordings, their labels, and the detectors that are trained on them."),
-      h("p", "The sample takes some seconds, and leads through the first box: drag, take, follow, export."),
-      h("div.row", sampleButton(), newButton()),
+      h(
+        "ol.first-steps",
+        STEPS.map(([icon, title, text]) => h("li", glyph(icon), h("strong", title), text)),
+      ),
+      h("div.row", sampleButton("primary"), newButton("")),
+      h("p", "The sample is a generated recording, made in some seconds. A guide leads through these steps."),
     );
   }
 
@@ -174,13 +193,19 @@ function card(
   const title = h("span.grow.ellipsis", h("h2.ellipsis", problem ? name : link));
   const isEmpty = project.recordings === 0;
   const next = nextStep(project);
+  const others = project.classes.slice(NAMED);
+  const addButton = button([glyph("plus"), "Recording"], () => add(name), {
+    class: isEmpty ? "primary" : "",
+    "data-testid": `add-recording-${name}`,
+  });
   const done = `${project.frames_done.toLocaleString("en")} of ${count(project.frames, "frame")} done`;
   const content = problem
     ? [h("p.error-box", problem)]
     : [
         h(
           "p.classes",
-          project.classes.map((label) => h("span.chip", label)),
+          project.classes.slice(0, NAMED).map((label) => h("span.chip", label)),
+          others.length > 0 && h("span.chip", { title: others.join(", ") }, `+ ${others.length}`),
           iconButton("edit", `Change the classes and attributes of ${name}`, () => change(name), {
             "data-testid": `edit-classes-${name}`,
           }),
@@ -189,8 +214,9 @@ function card(
           "p.number.muted",
           isEmpty ? "No recording yet: add one to begin." : `${count(project.recordings, "recording")}, ${done}`,
         ),
-        h("progress", { max: project.frames || 1, value: project.frames_done, "aria-label": done, title: done }),
-        h("p.number.states", stateCounts(project.labels_by_state)),
+        !isEmpty &&
+          h("progress", { max: project.frames || 1, value: project.frames_done, "aria-label": done, title: done }),
+        !isEmpty && h("p.number.states", stateCounts(project.labels_by_state)),
         ...project.missing.map((recording) =>
           h(
             "div.row.missing",
@@ -199,17 +225,10 @@ function card(
           ),
         ),
         line,
-        h(
-          "div.row.next",
-          next &&
-            h("a.button.primary-link", { href: makeHash(name, next.mode), "data-testid": `next-${name}` }, next.text),
-        ),
+        h("div.row.next", next ? goOn(name, next) : addButton),
         h(
           "div.row",
-          button([glyph("plus"), "Recording"], () => add(name), {
-            class: isEmpty ? "primary" : "",
-            "data-testid": `add-recording-${name}`,
-          }),
+          !isEmpty && addButton,
           button([glyph("plus"), "Boxes"], () => addBoxes(name), {
             title: "Import 2D boxes on camera images, or 3D boxes as proposals or labels, from a file",
             hidden: isEmpty,
@@ -224,6 +243,9 @@ function card(
   ]);
 }
 
+const goOn = (/** @type {string} */ name, /** @type {NonNullable<ReturnType<typeof nextStep>>} */ { mode, text }) =>
+  h("a.button.primary-link", { href: makeHash(name, mode), "data-testid": `next-${name}` }, text);
+
 /** What to do next in a project with recordings. */
 export function nextStep(
   /** @type {Api.ProjectSummary} */ { frames, frames_done, labels_by_state: labels, recordings },
@@ -237,9 +259,10 @@ export function nextStep(
   return { mode: "export", text: "Export the boxes" };
 }
 
-/** The first frame of a project; its place stays where there is none. */
+/** The first frame of a project, over a sign that is seen where there is none. */
 function picture(/** @type {Api.ProjectSummary} */ { name, first_frame }) {
-  const frame = h("a.picture", { href: makeHash(name, "annotate"), tabindex: -1, "aria-hidden": "true" });
+  const attributes = { href: makeHash(name, "annotate"), tabindex: -1, "aria-hidden": "true" };
+  const frame = h("a.picture", attributes, glyph("box"));
   if (first_frame === null) return frame;
   const src = `${projectPath(name, "frames", first_frame)}/image.jpg?width=320`;
   // a frame that cannot be read has none
@@ -256,7 +279,7 @@ function picture(/** @type {Api.ProjectSummary} */ { name, first_frame }) {
 
 function stateCounts(/** @type {Record<string, number>} */ labels) {
   const known = STATES.filter((state) => labels[state] > 0);
-  if (!known.length) return [h("span.muted", "no labels")];
+  if (!known.length) return [h("span.muted", "no boxes yet")];
   return known.map((state) =>
     h("span", { class: `state-${state}` }, `${labels[state].toLocaleString("en")} ${state}`),
   );

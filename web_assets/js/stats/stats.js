@@ -64,7 +64,7 @@ export function mount(root, app, until) {
     const text = "The numbers are shown once objects are labelled or proposed.";
     const href = makeHash(app.state.route.project, "annotate");
     patch(tiles, tilesOf(known));
-    patch(tables, isEmpty ? nothing("No boxes yet", text, href, "Label objects") : tablesOf(known));
+    patch(tables, isEmpty ? nothing("No boxes yet", text, href, "Annotate") : tablesOf(known));
     chartsPanel.hidden = isEmpty;
     work.show(known.progress);
     void charts.draw(known);
@@ -109,7 +109,7 @@ function tilesOf(
     ["Seconds per box", number(effort.seconds_a_box), change],
     ["Actions per box", number(effort.actions_a_box), "keys, clicks and drags that change something"],
     ["Accepted untouched", percent(accepted_untouched), "of the reviewed proposals"],
-    ["IoU of proposal and final box", number(iou_proposal_to_final, 2), "mean 3D overlap; 1 = same box"],
+    ["Proposals", number(iou_proposal_to_final, 2), "mean 3D overlap (IoU) with the final box; 1 = same"],
     ["Work left", duration(hours_left?.expected), left],
   ].map(([name, value, help]) =>
     h("div.tile", h("div.tile-name", name), h("div.tile-value.number", value), h("div.muted", help)),
@@ -192,7 +192,7 @@ function projectTable(/** @type {Api.ReportedStatistics} */ known) {
   ];
   const counted = rows.map(([name, value]) => [name, number(value, 0)]);
   const detector = ["View detector in use", known.view_detector ?? "none"];
-  return table("The project", "stats-project", ["", "Number"], [...counted, detector]);
+  return table("The project", "stats-project", ["What", "Number"], [...counted, detector]);
 }
 
 /** The effort of a box by the origin of boxes. */

@@ -7,6 +7,7 @@
 import { classColor } from "../colors.js";
 import { h, iconButton, patch } from "../dom.js";
 import { makeHash } from "../router.js";
+import { onTheme } from "../theme.js";
 import {
   classOf,
   describe,
@@ -269,7 +270,7 @@ export function mountTimeline(/** @type {HTMLElement} */ root, /** @type {App} *
     lanes.slice(from, Math.ceil((top + height) / ROW)).forEach((lane, i) => {
       drawLane(context, lane, (from + i) * ROW - top, { text, line, accent, muted });
     });
-    if (now < 0) return;
+    if (now < 0 || !lanes.length) return;
     context.fillStyle = accent;
     context.fillRect(Math.round(xOf(now + 0.5)), 0, 1, height);
   }
@@ -356,7 +357,7 @@ export function mountTimeline(/** @type {HTMLElement} */ root, /** @type {App} *
   });
   app.keys.register({ timeline: () => setFolded(!isFolded) });
   new ResizeObserver(drawSoon).observe(root);
-  new MutationObserver(drawSoon).observe(document.documentElement, { attributeFilter: ["data-theme"] });
+  onTheme(drawSoon);
   show();
 }
 

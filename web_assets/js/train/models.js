@@ -110,7 +110,16 @@ export function createModelList(
       }
       const newest = models.toSorted((a, b) => b.created_ns - a.created_ns);
       const titles = COLUMNS.map(([, text]) => text);
-      const heads = ["Detector", "Trained", "Trained on", ...titles, "Held-out IoU", "Boxes enclose", "", ""];
+      const heads = [
+        "Detector",
+        "Trained",
+        "Trained on",
+        ...titles,
+        "Held-out IoU",
+        "Boxes enclose",
+        "Use",
+        "Examples",
+      ];
       const head = heads.map((text) =>
         h("th", { scope: "col", title: text === "Held-out IoU" ? HELD_OUT_HELP : null }, text),
       );

@@ -74,12 +74,8 @@ export function mount(root, app, until) {
     const hasNone = Object.values(known.material).every((number) => number === 0);
     form.hidden = hasNone;
     const cards = ROLES.map((role) => materialCard(role, /** @type {Api.ModelList} */ (known)));
-    const text = "There are no boxes to train on yet. Draw a few objects first; each takes five 2D boxes.";
-    patch(
-      material,
-      cards,
-      hasNone && nothing("", text, makeHash(app.state.route.project, "annotate"), "Label objects"),
-    );
+    const text = "There are no boxes to train on yet. Draw a few objects, and accept their boxes, first.";
+    patch(material, cards, hasNone && nothing("", text, makeHash(app.state.route.project, "annotate"), "Annotate"));
   }
 
   const states = () => app.state.jobs.map(({ id, state }) => `${id}${state}`).join();
