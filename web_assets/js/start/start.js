@@ -85,11 +85,11 @@ export function mount(root, app, until) {
     const project = await createProject(app);
     if (!project) return;
     await refresh();
-    await then(addRecordings(app, project.name));
+    await andRefresh(addRecordings(app, project.name));
   }
 
   /** Shows the projects again after what was done with one of them, also if that failed. */
-  const then = (/** @type {Promise<unknown>} */ done) => done.finally(refresh);
+  const andRefresh = (/** @type {Promise<unknown>} */ done) => done.finally(refresh);
 
   function begun(/** @type {Api.Job} */ job) {
     started.add(job.id);
@@ -103,10 +103,10 @@ export function mount(root, app, until) {
 
   /** @type {CardActions} */
   const actions = {
-    add: (name) => then(addRecordings(app, name)),
-    addBoxes: (name) => then(addBoxes(name)),
-    locate: (name, recording) => then(locateRecording(app, name, recording)),
-    change: (name) => then(editClasses(app, name)),
+    add: (name) => andRefresh(addRecordings(app, name)),
+    addBoxes: (name) => andRefresh(addBoxes(name)),
+    locate: (name, recording) => andRefresh(locateRecording(app, name, recording)),
+    change: (name) => andRefresh(editClasses(app, name)),
   };
 
   async function refresh() {
