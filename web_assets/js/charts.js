@@ -1,5 +1,6 @@
 /** Charts, drawn by plotly. Its script comes from the server and is loaded when the first chart is drawn. */
 
+import { onTheme } from "./colors.js";
 import { h } from "./dom.js";
 import { messageOf } from "./errors.js";
 
@@ -99,17 +100,13 @@ export function createChart(host, make) {
     await plotly.react(host, traces, full, { displayModeBar: false, responsive: true });
   }
 
-  const watcher = new MutationObserver(() => void draw());
-  watcher.observe(document.documentElement, { attributeFilter: ["data-theme"] });
-  const scheme = matchMedia("(prefers-color-scheme: dark)");
-  scheme.addEventListener("change", draw);
+  const stop = onTheme(() => void draw());
 
   return {
     draw,
     destroy() {
       ended = true;
-      watcher.disconnect();
-      scheme.removeEventListener("change", draw);
+      stop();
       plotly?.purge(host);
     },
   };

@@ -1,4 +1,4 @@
-/** Checks: boxes that look wrong, by kind of problem. A click opens the box in Review, or the frame in Label. */
+/** Checks: boxes that look wrong, by kind of problem. A click opens the box, or the frame. */
 
 import { button, count, h, patch } from "../dom.js";
 import { messageOf } from "../errors.js";
@@ -60,7 +60,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     if (warnings.length === 0) {
       const nothing =
         labels === 0
-          ? ["No boxes yet", "Label objects, or let the detectors propose some.", "label", "Label objects"]
+          ? ["No boxes yet", "Draw some, or let the detectors propose them.", "annotate", "Annotate"]
           : [
               "Nothing looks wrong",
               "Sizes, points, headings and overlaps were checked.",

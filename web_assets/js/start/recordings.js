@@ -400,7 +400,7 @@ function makeEntry(
     "li",
     { class: "entry recording" },
     entry.is_folder ? openButton : name,
-    h("span", { class: "chip format" }, entry.recording),
+    h("span", { class: "chip format" }, entry.recording.replaceAll("_", " ")),
     pick,
   );
 }

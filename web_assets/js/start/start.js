@@ -12,6 +12,15 @@ import { createMenu, createProject, createRemoved } from "./manage.js";
 import { addRecordings, locateRecording } from "./recordings.js";
 
 const STATES = ["proposed", "accepted", "edited", "rejected"];
+/** Classes that a card names; of more, it says how many there are. */
+const NAMED = 8;
+/** From a drag to a dataset. @type {["drag" | "box" | "track" | "download", string, string][]} */
+const STEPS = [
+  ["drag", "Drag a 2D box", "around an object on the camera image."],
+  ["box", "Take the 3D box", "that is measured in the points, or correct it."],
+  ["track", "Follow it", "through the recording, and review what was found."],
+  ["download", "Export", "in the format of your training: KITTI, nuScenes, OpenLABEL …"],
+];
 
 export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
   const list = h("div", { class: "projects", "aria-live": "polite" });
@@ -28,21 +37,24 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
   /** Id of the job that makes a sample for this operator. */
   let sample = "";
   const removed = createRemoved(app, refresh);
+  /** To begin a project; where there is none yet, the list has it. */
+  const begin = h("div", { class: "row" });
   const page = h(
     "div",
     { class: "page start" },
-    h("div", { class: "row" }, h("h1", { class: "grow" }, "Projects"), sampleButton(), newButton()),
+    h("div", { class: "row" }, h("h1", { class: "grow" }, "Projects"), begin),
     list,
     removed.root,
     h("p", { class: "help" }, app.state.version ? `annotator ${app.state.version}` : ""),
   );
 
-  function newButton() {
-    return button([glyph("plus"), "New project"], make, { class: "primary", "data-testid": "new-project" });
+  function newButton(look = "primary") {
+    return button([glyph("plus"), "New project"], make, { class: look, "data-testid": "new-project" });
   }
 
-  function sampleButton() {
+  function sampleButton(look = "") {
     return button("Try a sample project", () => begunSample(), {
+      class: look,
       title: "Makes a project with a generated recording, in some seconds, and shows what to do with it",
       "data-testid": "sample-project",
     });
@@ -115,6 +127,8 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
   }
 
   async function refresh() {
+    // signed out: the page is loaded again after the next sign-in
+    if (!app.state.operator) return;
     try {
       /** @type {Api.ProjectSummary[]} */
       const projects = await app.api.get("/api/projects");
@@ -126,6 +140,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
       if (menu) return menu.addEventListener("toggle", refresh, { once: true });
       shown = text;
       lines = projects.map(({ name }) => importLine(app, name, started));
+      begin.replaceChildren(...(projects.length ? [sampleButton(), newButton()] : []));
       list.replaceChildren(
         ...(projects.length
           ? projects.map((project, i) =>
@@ -153,9 +168,13 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
       "div",
       { class: "panel empty", "data-testid": "no-projects" },
       h("h2", {}, "No project yet"),
-      h("p", {}, "A project has recordings, their labels, and the detectors that are trained on them."),
-      h("p", {}, "The sample takes some seconds, and leads through the first box: drag, take, follow, export."),
-      h("div", { class: "row" }, sampleButton(), newButton()),
+      h(
+        "ol",
+        { class: "first-steps" },
+        STEPS.map(([icon, title, text]) => h("li", {}, glyph(icon), h("strong", {}, title), text)),
+      ),
+      h("div", { class: "row" }, sampleButton("primary"), newButton("")),
+      h("p", {}, "The sample is a generated recording, made in some seconds. A guide leads through these steps."),
     );
   }
 
@@ -224,13 +243,15 @@ function card(project, { add, addBoxes, locate, change, line, menu }) {
   boxesButton.title = "Import 2D boxes on camera images, or 3D boxes as proposals or labels, from a file";
   boxesButton.hidden = isEmpty;
   const next = nextStep(project);
+  const others = project.classes.slice(NAMED);
   const done = `${project.frames_done.toLocaleString("en")} of ${count(project.frames, "frame")} done`;
   box.prepend(picture(project));
   box.append(
     h(
       "p",
       { class: "classes" },
-      project.classes.map((label) => h("span", { class: "chip" }, label)),
+      project.classes.slice(0, NAMED).map((label) => h("span", { class: "chip" }, label)),
+      others.length ? h("span", { class: "chip", title: others.join(", ") }, `+ ${others.length}`) : null,
       iconButton("edit", `Change the classes and attributes of ${name}`, () => change(name), {
         "data-testid": `edit-classes-${name}`,
       }),
@@ -240,12 +261,14 @@ function card(project, { add, addBoxes, locate, change, line, menu }) {
       { class: "number muted" },
       isEmpty ? "No recording yet: add one to begin." : `${count(project.recordings, "recording")}, ${done}`,
     ),
-    h("progress", { max: project.frames || 1, value: project.frames_done, "aria-label": done, title: done }),
-    h("p", { class: "number states" }, stateCounts(labels)),
+    isEmpty
+      ? ""
+      : h("progress", { max: project.frames || 1, value: project.frames_done, "aria-label": done, title: done }),
+    isEmpty ? "" : h("p", { class: "number states" }, stateCounts(labels)),
     ...project.missing.map((recording) => missing(recording, () => locate(name, recording))),
     line,
-    h("div", { class: "row next" }, next && link(name, next.mode, next.text)),
-    h("div", { class: "row" }, addButton, boxesButton),
+    h("div", { class: "row next" }, next ? link(name, next.mode, next.text) : addButton),
+    h("div", { class: "row" }, isEmpty ? null : addButton, boxesButton),
   );
   return box;
 }
@@ -263,9 +286,10 @@ export function nextStep(
   return { mode: "export", text: "Export the boxes" };
 }
 
-/** The first frame of a project; its place stays where there is none. */
+/** The first frame of a project, over a sign that is seen where there is none. */
 function picture(/** @type {Api.ProjectSummary} */ { name, first_frame }) {
-  const frame = h("a", { class: "picture", href: makeHash(name, "annotate"), tabindex: -1, "aria-hidden": "true" });
+  const attributes = { class: "picture", href: makeHash(name, "annotate"), tabindex: -1, "aria-hidden": "true" };
+  const frame = h("a", attributes, glyph("box"));
   if (first_frame === null) return frame;
   const src = `${projectPath(name, "frames", first_frame)}/image.jpg?width=320`;
   // a frame that cannot be read has none
@@ -296,7 +320,7 @@ function link(/** @type {string} */ name, /** @type {string} */ mode, /** @type 
 
 function stateCounts(/** @type {Record<string, number>} */ labels) {
   const known = STATES.filter((state) => labels[state] > 0);
-  if (!known.length) return [h("span", { class: "muted" }, "no labels")];
+  if (!known.length) return [h("span", { class: "muted" }, "no boxes yet")];
   return known.map((state) =>
     h("span", { class: `state-${state}` }, `${labels[state].toLocaleString("en")} ${state}`),
   );

@@ -285,6 +285,6 @@ function nothingYet(/** @type {ModeApp} */ app) {
     { class: "empty" },
     h("h2", {}, "No boxes yet"),
     h("p", {}, "The numbers are shown once objects are labelled or proposed."),
-    h("a", { class: "button", href: makeHash(app.state.route.project, "annotate") }, "Label objects"),
+    h("a", { class: "button", href: makeHash(app.state.route.project, "annotate") }, "Annotate"),
   );
 }

@@ -322,8 +322,8 @@ function nothingYet(/** @type {ModeApp} */ app) {
   return h(
     "div",
     { class: "empty" },
-    h("p", {}, "There are no boxes to train on yet. Draw a few objects first; each takes five 2D boxes."),
-    h("a", { class: "button", href: `#/${encodeURIComponent(app.state.route.project)}/annotate` }, "Label objects"),
+    h("p", {}, "There are no boxes to train on yet. Draw a few objects, and accept their boxes, first."),
+    h("a", { class: "button", href: `#/${encodeURIComponent(app.state.route.project)}/annotate` }, "Annotate"),
   );
 }
 
