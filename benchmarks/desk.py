@@ -211,7 +211,7 @@ def room(folder: Path, projects: Path) -> Room:
     boxes = [[truth.box for truth in each] for each in truths]
     with create_project(projects, ROOM, CLASSES, settings=ProjectSettings(rotation=BoxRotation.UPRIGHT)) as project:
         add_recordings(project, [folder / PRESET, folder / "others"])
-        frames = [frame.id for frame in project.frames.of([1])]
+        ids = [frame.id for frame in project.frames.of([1])]
         first = boxes[FACE][0]
         # a third of its length is missing in front
         cut = np.array([first.size_m[0] / 3, 0.0, 0.0])
@@ -219,9 +219,9 @@ def room(folder: Path, projects: Path) -> Room:
         back = boxes[TURNED][0]
         turned = OrientedBox.from_parts(back.center_m, back.rotation * [-1, -1, 1], back.size_m)
         uids = {
-            "proposed": label(project, frames[PROPOSED], boxes[PROPOSED][0], state=ReviewState.PROPOSED),
-            "face": label(project, frames[FACE], short),
-            "turned": label(project, frames[TURNED], turned),
+            "proposed": label(project, ids[PROPOSED], boxes[PROPOSED][0], state=ReviewState.PROPOSED),
+            "face": label(project, ids[FACE], short),
+            "turned": label(project, ids[TURNED], turned),
         }
         last: dict[int, OrientedBox] = {}
         for place in range(LENGTH):
@@ -229,10 +229,10 @@ def room(folder: Path, projects: Path) -> Room:
             for track, box in list(last.items())[:3]:
                 # the second one has another number in the second half
                 number = track + 10 * (track == 2 and place >= MIDDLE)
-                uid = label(project, frames[TRACKED + place], box, track_id=number)
+                uid = label(project, ids[TRACKED + place], box, track_id=number)
                 if place == MIDDLE:
                     uids[f"track {track}"] = uid
-    return Room(frames, boxes, read[0].camera, uids)
+    return Room(ids, boxes, read[0].camera, uids)
 
 
 def label(project: Project, frame: int, box: OrientedBox, name: str = CLASSES[0], **more: Any) -> str:
@@ -393,7 +393,8 @@ def place_far_car(hand: Hand) -> None:
     assert root is not None
     sensor = hand.page.locator("[data-testid=map] circle.sensor")
     ring = hand.page.locator("[data-testid=map] circle.ring").first
-    metres = float(hand.page.locator("[data-testid=map] text.ring").first.text_content().split()[0])
+    said = hand.page.locator("[data-testid=map] text.ring").first.text_content() or ""
+    metres = float(said.split()[0])
     px = float(ring.get_attribute("r") or 0) / metres
     x, y = (float(sensor.get_attribute(name) or 0) for name in ("cx", "cy"))
     at = root["x"] + x - left * px, root["y"] + y - ahead * px

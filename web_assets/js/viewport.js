@@ -6,10 +6,11 @@
  * table and never to viser, whose W A S D Q E and arrow keys would move the camera.
  */
 
+import { onTheme, themeNow } from "./colors.js";
 import { h } from "./dom.js";
 import { ApiError } from "./errors.js";
 import { createPace } from "./pace.js";
-import { onTheme, themeNow } from "./theme.js";
+
 import { createViewportBar } from "./viewport_bar.js";
 
 /** @typedef {{ project: string, scene: Scene3D }} Wanted */
