@@ -61,7 +61,6 @@ export function mount(root, app, until) {
   }
 
   async function makeSample() {
-    /** @type {Api.Sample} */
     const { name, job } = await app.api.post("/api/sample-project");
     if (!job) return open(name);
     sample = job.id;
@@ -113,7 +112,6 @@ export function mount(root, app, until) {
     // signed out: the page is loaded again after the next sign-in
     if (!app.state.operator) return;
     try {
-      /** @type {Api.ProjectSummary[]} */
       const projects = await app.api.get("/api/projects");
       await removed.load();
       const menu = list.querySelector(":popover-open");
