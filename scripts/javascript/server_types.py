@@ -2,8 +2,8 @@
 
     .venv/bin/python scripts/javascript/server_types.py
 
-The types of the server's requests and responses are defined once, as pydantic models in `annotator/web`, and `tsc`
-checks the page against them. `scripts/test` writes the file before it calls `tsc`.
+The types of the server's requests and responses are defined once, as pydantic models in `annotator/web`; `Answers` says
+which one each route gives. `tsc` checks the page against them. `scripts/test` writes the file before it calls `tsc`.
 """
 
 from __future__ import annotations
