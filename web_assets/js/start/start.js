@@ -65,7 +65,8 @@ export function mount(root, app, until) {
     if (!job) return open(name);
     sample = job.id;
     takeJob(app, job);
-    await refresh();
+    // it may be made already
+    if (!openSample()) await refresh();
   }
 
   function open(/** @type {string} */ name) {
