@@ -15,6 +15,8 @@ import { createValueFilter, refill } from "./value_filter.js";
 
 /** Rows of the queue that are shown around the current one; others come and go in such numbers. */
 const [ROWS, STEP] = [120, 60];
+/** The small pictures of a frame's boxes come after what is looked at first, ms. */
+const REST_MS = 300;
 
 export function createQueueList(
   /** @type {HTMLElement} */ host,
@@ -257,6 +259,8 @@ export function createBoxList(
     const take = (/** @type {Api.TileJson} */ { uid, png }) =>
       png && pictures.set(uid, `data:image/png;base64,${png}`);
     try {
+      await new Promise((resolve) => setTimeout(resolve, REST_MS));
+      if (signal.aborted) return;
       await app.api.lines(app.path("frames", frame.id, "sheet"), take, { signal });
       if (!signal.aborted) draw();
     } catch (error) {
