@@ -278,6 +278,10 @@ class InProject:
             self._project = self.ctx.project(self.name)
         return self._project
 
+    def recording(self, recording_id: int) -> Recording:
+        """An open recording, which is kept."""
+        return self.ctx.caches.frames.recording(self.project, recording_id)
+
     def announce(self) -> None:
         """Tells the pages of the project what this request has changed."""
         # it is stored; what cannot be read now is announced by the thread that watches

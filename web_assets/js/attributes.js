@@ -51,17 +51,9 @@ export function createAttributes(host, app, target) {
   /** @type {Map<string, HTMLSelectElement | HTMLInputElement>} */
   const fields = new Map();
   let shown = "";
-  /**
-   * The uid of the box whose values are shown.
-   *
-   * @type {string | null}
-   */
+  /** The uid of the box whose values are shown. @type {string | null} */
   let owner = null;
-  /**
-   * The field that is being typed in.
-   *
-   * @type {HTMLInputElement | null}
-   */
+  /** The field that is being typed in. @type {HTMLInputElement | null} */
   let typed = null;
 
   /** The attributes of the selected box and of the frame. */
@@ -139,9 +131,8 @@ export function createAttributes(host, app, target) {
     }
     fields.set(name, input);
     return h(
-      "label",
-      { class: "number-field" },
-      h("span", {}, name, required ? " *" : "", key ? " " : "", key ? h("kbd", {}, `Alt ${key.toUpperCase()}`) : ""),
+      "label.number-field",
+      h("span", name, required ? " *" : "", key ? " " : "", key ? h("kbd", `Alt ${key.toUpperCase()}`) : ""),
       input,
     );
   }
@@ -156,7 +147,7 @@ export function createAttributes(host, app, target) {
     if (signature !== shown) {
       shown = signature;
       fields.clear();
-      host.replaceChildren(h("legend", {}, "Attributes"), ...attributes.map(field));
+      host.replaceChildren(h("legend", "Attributes"), ...attributes.map(field));
       host.hidden = attributes.length === 0;
     }
     for (const attribute of attributes) {

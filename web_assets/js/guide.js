@@ -39,14 +39,9 @@ export function stepsDone({ proposed = 0, accepted = 0, edited = 0 }, isExported
 
 /** Adds the strip; its place is there as long as the project is guided, so that nothing moves. */
 export function mountGuide(/** @type {App} */ app) {
-  const list = h("ol", {});
+  const list = h("ol");
   const end = iconButton("close", "End the guide", () => guide(null), { "data-testid": "guide-end" });
-  const root = h(
-    "footer",
-    { class: "guide", hidden: true, "aria-label": "First steps", "data-testid": "guide" },
-    list,
-    end,
-  );
+  const root = h("footer.guide", { hidden: true, "aria-label": "First steps", "data-testid": "guide" }, list, end);
   document.body.append(root);
 
   show = () => {
@@ -61,7 +56,7 @@ export function mountGuide(/** @type {App} */ app) {
       list,
       STEPS.map(([text, key, mode], index) => {
         const isNow = index === done || (index === 1 && done === 0);
-        const words = [key ? h("kbd", {}, key) : null, ` ${text}`];
+        const words = [key ? h("kbd", key) : null, ` ${text}`];
         const isElsewhere = isNow && mode !== route.mode;
         return h(
           "li",

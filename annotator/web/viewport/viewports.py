@@ -31,7 +31,6 @@ from annotator.web.viewport.scene import Scene
 from annotator.web.viewport.viser_page import ViserPage, forward_http, forward_socket
 from annotator.workflows.workbench.drawing_steps import label_object
 from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.frame_state import seen_labels
 
 if TYPE_CHECKING:
     import viser
@@ -333,7 +332,7 @@ async def viser_socket(id: str, socket: WebSocket, operator: Operator, viewports
 def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> SceneContent:
     opened = ctx.caches.frames.open(project, frame_id)
     page = read_page(project, frame_id)
-    labels = [stored.label for stored, _ in seen_labels(page, opened)]
+    labels = [stored.label for stored in page.labels]
     return SceneContent(
         key=(project.path.name, page.frame.recording_id),
         frame=opened.frame,

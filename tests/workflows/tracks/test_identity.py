@@ -166,9 +166,9 @@ class Room:
         ids = {name: None if end is None else self.frames[end] for name, end in ends.items()}
         inside = set(self.frames[slice(ends["first"], None if ends["last"] is None else ends["last"] + 1)])
         operation, before = operation.model_copy(update=ids), self.labels()
-        told = apply(self.project, self.recording, track, operation, ANN, dry_run=True)
+        told = apply(self.project, self.recording, track, operation, ANN, dry_run=True).count
         assert self.labels().keys() == before.keys(), "it was only counted"
-        assert apply(self.project, self.recording, track, operation, ANN, told=told) == told
+        assert apply(self.project, self.recording, track, operation, ANN, told=told).count == told
         after = self.labels()
         changed = {
             uid

@@ -23,11 +23,7 @@ const ROTATIONS = {
 export function createLevelPanel({ rotation, onChange, onPropose, onDiscard, onKeep }) {
   /** @type {Api.AlignmentJson | null} */
   let known = null;
-  /**
-   * The up direction that is shown, relative to the stored correction; null: unknown.
-   *
-   * @type {Vector | null}
-   */
+  /** The up direction that is shown, relative to the stored correction; null: unknown. @type {Vector | null} */
   let up = null;
   /** @type {Api.EstimatedUp | null} */
   let estimate = null;
@@ -40,7 +36,7 @@ export function createLevelPanel({ rotation, onChange, onPropose, onDiscard, onK
   const refuse = button("Discard", onDiscard, { "data-testid": "refuse-up" });
   const unknown = button("As in the files", () => onKeep(null), { "data-testid": "clear-up" });
   unknown.title = "Take it from the recording's files again; if they do not tell, it is unknown";
-  const follows = h("p", { class: "help", "data-testid": "up-effect" });
+  const follows = h("p.help", { "data-testid": "up-effect" });
 
   function turn() {
     estimate = null;

@@ -73,7 +73,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   const { go } = opening;
   const goInQueue = (/** @type {Target} */ target) => go(target, true);
   const queueList = createQueueList(parts.queue, app, queue, { open: goInQueue });
-  const boxList = createBoxList(parts.boxes, app, desk, () => teach);
+  const boxList = createBoxList(parts.boxes, app, desk, () => teach, showBest);
   const picker = createNextClass(parts.classes, app);
   const preload = createPreload(app, desk, queue);
   const sheet = createSheet(app, {
@@ -113,6 +113,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   const scene = createScene(parts.scene, app, desk, () => teach);
   const map = createMap(parts.map, app, desk, {
     onPlace: (point) => commands.placeAt(point),
+    onOpen: showBest,
     onClose: () => turnMap(false),
   });
   turnMap(localStorage.getItem(MAP_KEPT) === "true");
@@ -218,6 +219,11 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     map.turn(on);
   }
 
+  /** Goes to the camera that sees a box of the moment best. */
+  function showBest(/** @type {string} */ uid) {
+    if (opening.opened !== null && desk.stored(uid)) void go({ frame: opening.opened, uid });
+  }
+
   function setGizmo(/** @type {Api.Gizmo} */ mode) {
     scene.setGizmo(mode);
     showActions();
@@ -263,7 +269,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       "follow-all": once(() => commands.followAll("forward")),
       "follow-all-back": once(() => commands.followAll("backward")),
       "copy-next": once(() => commands.whenCalm(() => tracks.copyToNext())),
-      carry: once(() => commands.whenCalm(() => tracks.carry())),
       ...Object.fromEntries(
         Object.entries(OPERATIONS)
           .filter(([, { key }]) => key)
@@ -274,6 +279,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       "previous-of-track": once(() => commands.whenCalm(() => tracks.step(-1))),
       "next-box": () => commands.stepBox(1),
       "previous-box": () => commands.stepBox(-1),
+      "next-camera": once(() => commands.whenCalm(commands.nextCamera)),
       "next-frame": () => opening.step("next"),
       "previous-frame": () => opening.step("previous"),
       "draw-box": once(commands.draw),

@@ -110,7 +110,9 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
       if (order === "teach") return this.reloadSoon();
       /** @type {Set<string | null>} */
       const open = new Set(frame.labels.filter(({ state }) => state === "proposed").map(({ uid }) => uid));
-      const gone = (/** @type {QueueItem} */ item) => item.frame === frame.frame.id && !open.has(item.uid);
+      // a label belongs to its moment, whose frames have the same
+      const moment = new Set(Object.values(frame.frame.cameras).concat(frame.frame.id));
+      const gone = (/** @type {QueueItem} */ item) => moment.has(item.frame) && !open.has(item.uid);
       const before = items.length;
       place -= items.slice(0, place).filter(gone).length;
       items = items.filter((item) => !gone(item));

@@ -1,6 +1,7 @@
 /** The form of an export: format, states, classes, recordings, and the division of the frames into parts. */
 
-import { count, h, remembered } from "../dom.js";
+import { count, h } from "../dom.js";
+import { checkbox, field, group, numberField, remembered, select, ticked } from "../forms.js";
 
 const STATES = [
   ["accepted", "accepted"],
@@ -15,9 +16,10 @@ const PICTURES = [
   ["views", "pseudo-views"],
   ["both", "both"],
 ];
-
-const options = (/** @type {string[][]} */ rows) => rows.map(([value, text]) => h("option", { value }, text));
-const ticked = (/** @type {HTMLInputElement[]} */ boxes) => boxes.filter((box) => box.checked).map((box) => box.value);
+const DIVISIONS = [
+  ["frames", "by frames"],
+  ["recordings", "by whole recordings"],
+];
 
 export function createExportForm(
   /** @type {ModeApp} */ app,
@@ -25,72 +27,48 @@ export function createExportForm(
   /** @type {() => void} */ onChange,
 ) {
   const { classes, recordings } = app.state.project;
-  /**
-   * @param {string} value
-   * @param {boolean} checked
-   * @param {string} [testid]
-   */
-  const check = (value, checked, testid) =>
-    h("input", { type: "checkbox", value, checked, onchange: onChange, "data-testid": testid });
-  const states = STATES.map(([state]) => check(state, USUAL.has(state), `export-state-${state}`));
-  const counts = STATES.map(() => h("span", { class: "muted number" }));
+  const check = (
+    /** @type {string} */ value,
+    /** @type {boolean} */ checked,
+    /** @type {string | null} */ testid = null,
+  ) => checkbox(testid === null ? null : `export-${testid}`, checked, { value, onchange: onChange });
+  const states = STATES.map(([state]) => check(state, USUAL.has(state), `state-${state}`));
+  const counts = STATES.map(() => h("span.muted.number"));
   const ofClasses = classes.map((name) => check(name, true));
-  const ofRecordings = recordings.map(({ id, name }) => check(String(id), true, `export-recording-${name}`));
+  const ofRecordings = recordings.map(({ id, name }) => check(String(id), true, `recording-${name}`));
+  const known = formats.map(({ name, summary }) => [name, `${name}: ${summary}`]);
   const format = remembered(
-    `export ${app.state.route.project} format`,
-    h(
-      "select",
-      { "data-testid": "export-format", onchange: onChange },
-      options(formats.map(({ name, summary }) => [name, `${name}: ${summary}`])),
-    ),
+    app,
+    "export",
+    "format",
+    select(known, { "data-testid": "export-format", onchange: onChange }),
   );
-  const pictures = h("select", { "data-testid": "export-pictures" }, options(PICTURES));
-  const picturesField = h("label", { class: "field" }, h("span", {}, "2D boxes on"), pictures);
-  const skip = check("skip", false, "export-skip-unreadable");
-  const divide = check("divide", false, "export-divide");
+  const pictures = select(PICTURES, { "data-testid": "export-pictures" });
+  const picturesField = field("2D boxes on", pictures);
+  const skip = check("skip", false, "skip-unreadable");
+  const divide = check("divide", false, "divide");
   const shares = remembered(
-    `export ${app.state.route.project} shares`,
+    app,
+    "export",
+    "shares",
     h("input", {
       value: "train=0.8,val=0.2",
       "aria-label": "Parts and their shares",
       "data-testid": "export-shares",
     }),
   );
-  const by = h(
-    "select",
-    { "aria-label": "Split by", "data-testid": "export-split-by" },
-    options([
-      ["frames", "by frames"],
-      ["recordings", "by whole recordings"],
-    ]),
-  );
-  const seed = h("input", {
-    type: "number",
-    value: 0,
-    min: 0,
-    "aria-label": "Random seed",
-    class: "number",
-    "data-testid": "export-seed",
-  });
-  const division = h("div", { class: "row", hidden: true }, shares, by, "seed", seed);
+  const by = select(DIVISIONS, { "aria-label": "Split by", "data-testid": "export-split-by" });
+  const seed = numberField("export-seed", "Random seed", { class: "number", value: 0, min: 0 });
+  const division = h("div.row", { hidden: true }, shares, by, "seed", seed);
 
-  const group = (/** @type {string} */ legend, /** @type {Child | Child[]} */ rows) =>
-    h("fieldset", { class: "plain" }, h("legend", { class: "field-label" }, legend), rows);
   const several = (
     /** @type {string} */ legend,
     /** @type {HTMLInputElement[]} */ boxes,
     /** @type {string[]} */ names,
-  ) =>
-    boxes.length > 1
-      ? group(
-          legend,
-          h(
-            "div",
-            { class: "choices-list" },
-            boxes.map((box, i) => h("label", { class: "row" }, box, names[i])),
-          ),
-        )
-      : null;
+  ) => {
+    const rows = boxes.map((box, i) => h("label.row", box, names[i]));
+    return boxes.length > 1 && group(legend, h("div.choices-list", rows));
+  };
 
   const countOf = (/** @type {string} */ state) => app.state.project?.labels_by_state[state] ?? 0;
   const isFlat = () => Boolean(formats.find(({ name }) => name === format.value)?.flat);
@@ -100,7 +78,7 @@ export function createExportForm(
     parts: [
       group(
         "Boxes",
-        STATES.map(([, text], i) => h("label", { class: "row" }, states[i], text, counts[i])),
+        STATES.map(([, text], i) => h("label.row", states[i], text, counts[i])),
       ),
       several("Classes", ofClasses, classes),
       several(
@@ -108,11 +86,11 @@ export function createExportForm(
         ofRecordings,
         recordings.map(({ name }) => name),
       ),
-      h("label", { class: "field" }, h("span", {}, "Format"), format),
+      field("Format", format),
       picturesField,
-      group("Parts", [h("label", { class: "row" }, divide, "Split the frames into parts"), division]),
-      group("Damaged files", [h("label", { class: "row" }, skip, "Leave out frames that cannot be read")]),
-    ].filter((part) => part !== null),
+      group("Parts", h("label.row", divide, "Split the frames into parts"), division),
+      group("Damaged files", h("label.row", skip, "Leave out frames that cannot be read")),
+    ],
 
     /**
      * @returns {Api.ExportRequest}
