@@ -200,7 +200,7 @@ def test_recordings_and_projects_are_managed_from_a_menu(room: Project, start: P
     get("copy-labels").uncheck()
     get("dialog-copy").click()
     expect(get("project-hall")).to_contain_text("copied to hall-copy, without labels")
-    expect(get("project-hall-copy")).to_contain_text("no labels")
+    expect(get("project-hall-copy")).to_contain_text("no boxes yet")
 
     choose("remove", "hall")
     get("dialog-cancel").click()
