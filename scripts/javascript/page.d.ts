@@ -139,6 +139,32 @@ interface ViewportEvents {
 type BoxColor = "state" | "class" | "track";
 type ViewportState = "opening" | "ready" | "lost" | "unsupported";
 
+type Word<W> = W extends string ? (string extends W ? "*" : W) : "*";
+/** The words of a path, with a star for each value. */
+type Words<P extends readonly unknown[]> = P extends readonly [infer W]
+  ? Word<W>
+  : P extends readonly [infer W, ...infer Rest]
+    ? `${Word<W>}/${Words<Rest>}`
+    : "";
+/** The path of a project's resource; `of` is there only for the type of the answer. */
+type ProjectPath<P extends readonly unknown[]> = string & { readonly of: Words<P> };
+type Asked<
+  Method extends string,
+  P,
+> = `${Method} ${P extends { readonly of: infer Of extends string } ? Of : P & string}`;
+/** What the server's schema says of the answer to a request; unknown for a path that is made of text. */
+type Answer<Method extends string, P> =
+  Asked<Method, P> extends infer Known extends keyof Api.Answers ? Api.Answers[Known] : unknown;
+type Ask<Method extends string> = <P extends string, T = Answer<Method, P>>(
+  path: P,
+  options?: RequestOptions,
+) => Promise<T>;
+type Send<Method extends string> = <P extends string, T = Answer<Method, P>>(
+  path: P,
+  body?: object,
+  options?: RequestOptions,
+) => Promise<T>;
+
 type Client = ReturnType<typeof import("../../web_assets/js/api.js").createApi>;
 type RequestOptions = { signal?: AbortSignal };
 type EffortCounter = ReturnType<typeof import("../../web_assets/js/effort.js").createEffort>;
@@ -162,7 +188,7 @@ interface App {
   /** Goes to an address from router.makeHash. */
   go(hash: string): void;
   /** The path of a resource of the open project: app.path("frames", 3). */
-  path(...parts: (string | number)[]): string;
+  path<const P extends readonly (string | number)[]>(...parts: P): ProjectPath<P>;
   /** Reads the project's summary again, into state.project. */
   refreshProject(): Promise<void>;
   /** Reads a frame into state.frame, and reports to the other pages that it is open here. */

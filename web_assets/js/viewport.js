@@ -168,7 +168,6 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     if (bench !== null && bench.project !== project) leave();
     if (bench === null) {
       say("opening", "Opening the 3D view …");
-      /** @type {Api.OpenedViewport} */
       const opened = await app.api.post("/api/workbench", { project });
       bench = { project, ...opened };
       return;

@@ -1,5 +1,7 @@
 /** The queue of proposals to review, or of frames to draw on: its order, its filter, and the next item. */
 
+import { withQuery } from "../api.js";
+
 export const ORDERS = [
   ["worst", "Most doubtful first"],
   ["time", "In time order"],
@@ -38,11 +40,9 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
   let ended = false;
 
   async function load() {
-    const query = new URLSearchParams({ order, ...(label ? { label } : {}), ...value });
-    if (source) query.set("source", source);
+    const query = { order, ...(label ? { label } : {}), ...value, ...(source ? { source } : {}) };
     const own = choices;
-    /** @type {Api.QueueOut} */
-    const answer = await app.api.get(`${app.path("queue")}?${query}`);
+    const answer = await app.api.get(withQuery(app.path("queue"), query));
     if (ended || own !== choices) return;
     answered = own;
     items = answer.items;
