@@ -119,7 +119,7 @@ test("the next item is the one after this one, and at the end the first one that
   assert.equal(queue.after("b").uid, "c", "goes on from the same place");
 });
 
-test("items of other frames stay, and an undo reads the queue again", async () => {
+test("items of other frames stay, and an undo brings its item back at once and reads the queue again", async () => {
   mock.timers.enable({ apis: ["setTimeout"] });
   const { queue, reads } = queueOf([item("a"), item("b", 2)]);
   await queue.load();
@@ -129,6 +129,7 @@ test("items of other frames stay, and an undo reads the queue again", async () =
     ["b"],
   );
   queue.settle(frameState(3, [{ uid: "a", state: "proposed" }]));
+  assert.deepEqual([queue.items.map(({ uid }) => uid), queue.remaining], [["a", "b"], 2]);
   assert.equal(reads(), 1);
   mock.timers.tick(2000);
   assert.equal(reads(), 2);
