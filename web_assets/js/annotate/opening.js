@@ -7,6 +7,8 @@ import { isOpen } from "./desk.js";
 
 /** The frame that was taken from the queue last, with its project; it stays so when the page is loaded again. */
 const FROM_QUEUE = "frame-from-queue";
+/** What is not looked at comes so long after a frame was opened, ms. */
+export const REST_MS = 300;
 
 /**
  * @param {ModeApp} app
@@ -67,6 +69,8 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
         showProblem(null);
       }
       pick(uid, track);
+      // one that was read ahead is read again, when it is shown
+      setTimeout(() => own === openings && desk.refresh().catch(app.toast), REST_MS);
     } catch (error) {
       if (own !== openings || isAborted(error)) return null;
       showProblem(error, id);

@@ -9,14 +9,13 @@ import { isOpen } from "./desk.js";
 import { shortName } from "./drawing.js";
 import { summary } from "./fields.js";
 import { DRAGS, progressOf } from "./items.js";
+import { REST_MS } from "./opening.js";
 import { ORDERS, OWN } from "./queue.js";
 import { makeHash } from "../router.js";
 import { createValueFilter, refill } from "./value_filter.js";
 
 /** Rows of the queue that are shown around the current one; others come and go in such numbers. */
 const [ROWS, STEP] = [120, 60];
-/** The small pictures of a frame's boxes come after what is looked at first, ms. */
-const REST_MS = 300;
 
 export function createQueueList(
   /** @type {HTMLElement} */ host,
