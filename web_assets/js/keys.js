@@ -37,7 +37,7 @@ export const KEYS = [
     ["next-frame", ["N", "PageDown"], "Next frame"],
     ["previous-frame", ["P", "PageUp"], "Previous frame"],
     ["go-to-frame", ["Ctrl+G"], "Go to a frame by its number"],
-    ["next-camera", ["K"], "Next camera of this moment"],
+    ["next-camera", ["K"], "Next camera of this moment: first those that see the selected object, the best first"],
     ["previous-camera", ["Shift+K"], "Previous camera of this moment", ["Shift", "K"]],
     ["timeline", ["L"], "Fold and unfold the timeline"],
     ["next-box", ["Tab"], "Next box"],
@@ -91,6 +91,7 @@ export const KEYS = [
     ["previous-of-track", ["Shift+P"], "Previous frame of this object", ["Shift", "P"]],
   ]),
   ...rows("View", ANNOTATE, [
+    ["areas", ["Q"], "The main place for the next area: image, 3D view, object"],
     ["top-view", ["M"], "Top view (a map) or 3D view"],
     ["points-larger", ["+", "="], "Larger points", ["+"]],
     ["points-smaller", ["-"], "Smaller points"],

@@ -163,7 +163,8 @@ SourceName = Annotated[str, Query(min_length=1, max_length=MOST_NAME)]
 
 
 class ItemJson(Schema):
-    """A proposal to review, or (uid null) a frame to draw on; `sources` are all that see the object."""
+    """A proposal to review, or (uid null) a frame to draw on; `sources` are all that see the object, `heading` is a
+    unit vector in the frame of its camera."""
 
     frame: int
     key: str
@@ -172,6 +173,7 @@ class ItemJson(Schema):
     label: str | None
     doubt: float | None
     sources: tuple[str, ...]
+    heading: tuple[float, ...] | None
 
 
 class QueueOut(Schema):

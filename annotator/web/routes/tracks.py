@@ -26,7 +26,6 @@ from annotator.workflows.tracks.propose_boxes import boxes_of
 from annotator.workflows.tracks.refit_run import RefitRun, box_fitter
 from annotator.workflows.workbench.contact_sheet import SeenBox, accept_boxes
 from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.frame_state import seen_labels
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector, has_view_with_classes
 
 router = APIRouter(tags=["tracks"])
@@ -241,7 +240,7 @@ def track_sheet(at: AtProject, recording_id: RowId, track_id: TrackId) -> Stream
 def frame_sheet(at: AtFrame) -> StreamingResponse:
     """The pictures of a frame's boxes, as those of a track."""
     page = read_page(at.project, at.frame_id)
-    return _tiles(at, [(page.frame, stored.label) for stored, _ in seen_labels(page, at.open())])
+    return _tiles(at, [(page.frame, stored.label) for stored in page.labels])
 
 
 def _tiles(at: InProject, boxes: Sequence[tuple[StoredFrame, Label]]) -> StreamingResponse:

@@ -323,6 +323,8 @@ export function createDesk(/** @type {App} */ app) {
         attributes: {},
         kept: false,
         heading_beside: null,
+        seen_by: [],
+        better_in: null,
       };
       added.set(uid, { label, image_box, found: fit.box, actions: 1, problem: null, sending: null });
       notify("selection");
@@ -404,9 +406,9 @@ export function createDesk(/** @type {App} */ app) {
       return !error;
     },
 
-    /** Accepts the stored proposals of the frame, as one action. */
+    /** Accepts the stored proposals that the camera shows, as one action. */
     async acceptAll() {
-      const open = (app.state.frame?.labels ?? []).filter(isOpen);
+      const open = (app.state.frame?.labels ?? []).filter((label) => isOpen(label) && label.better_in === null);
       app.effort.action();
       return (
         open.length === 0 ||
