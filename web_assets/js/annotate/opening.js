@@ -13,12 +13,11 @@ const FROM_QUEUE = "frame-from-queue";
  * @param {object} parts
  * @param {Desk} parts.desk
  * @param {Queue} parts.queue
- * @param {() => void} parts.onLoading called when opening a frame begins or ends.
- * @param {() => void} parts.onOpened called when a frame was opened, or cannot be read.
+ * @param {() => void} parts.onLoading called when opening a frame begins or ends, also if it cannot be read.
  * @param {(error: unknown, frame: number | null) => void} parts.onProblem called with the reason why a frame cannot be
  *     read, or with null.
  */
-export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem }) {
+export function createOpening(app, { desk, queue, onLoading, onProblem }) {
   const { project } = app.state.route;
   let loading = false;
   let openings = 0;
@@ -72,10 +71,7 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
       if (own !== openings || isAborted(error)) return null;
       showProblem(error, id);
     } finally {
-      if (own === openings) {
-        setLoading(false);
-        onOpened();
-      }
+      if (own === openings) setLoading(false);
     }
     return true;
   }
