@@ -46,8 +46,6 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator
 
 Point = tuple[float, float]
-Placed = tuple[dict[str, Any], OrientedBox]
-"""A label as the server has it, and its box."""
 Result = str | Callable[[], bool]
 """An expression of the page, or of what the server has, that is true when an action has done what it should."""
 
@@ -68,7 +66,7 @@ EYE_M, MOVED_M = 1.8, 2.0
 # A drawn box is right from this IoU on; a corrected one with corners this near; a placed one if its centre is this
 # near, and it holds no more points than the ground gives it.
 RIGHT, EXACT_M, NEAR_M, GROUND_POINTS = 0.5, 0.05, 1.5, 20
-PATIENCE_S = 180.0
+PATIENCE_S = 600.0
 IS_NEW = "document.querySelector('[data-testid=label-state]')?.textContent === 'new'"
 TOLD = "document.querySelector('[data-testid=track-count]')?.textContent.startsWith('This')"
 
@@ -247,8 +245,8 @@ class Hand:
         frame = self.page.url.split("/annotate/")[1].split("?")[0]
         return dict(answered(self.client.get(f"/api/projects/{self.at.project}/frames/{frame}"))["frame"])
 
-    def reviewed(self, frame: int | None = None) -> list[Placed]:
-        """The reviewed labels of the object's class in a frame, by default that of the start."""
+    def reviewed(self, frame: int | None = None) -> list[tuple[dict[str, Any], OrientedBox]]:
+        """The reviewed labels of the object's class in a frame, by default that of the start, and their boxes."""
         path = f"/api/projects/{self.at.project}/frames/{frame or self.at.frame}"
         found = [each for each in answered(self.client.get(path))["labels"] if each["label"] == self.at.name]
         parts = ("center", "rotation", "size")
@@ -291,22 +289,14 @@ def shows(project: str, frame: int, position: str = "") -> str:
 # -- the tasks
 
 
-@dataclass(frozen=True)
-class Task:
-    """What is done, the most actions that it may take, and those of other tools."""
-
-    do: Callable[[Hand], None]
-    most: int
-    cvat: int | None
-    sustech: int | None
+Do = Callable[[Hand], None]
+# What is done, the most actions that it may take, and those of other tools, by name.
+TASKS: dict[str, tuple[Do, int, dict[str, int | None]]] = {}
 
 
-TASKS: dict[str, Task] = {}
-
-
-def task(most: int, cvat: int | None = None, sustech: int | None = None) -> Callable[[Callable[[Hand], None]], None]:
-    def keep(do: Callable[[Hand], None]) -> None:
-        TASKS[do.__name__] = Task(do, most, cvat, sustech)
+def task(most: int, cvat: int | None = None, sustech: int | None = None) -> Callable[[Do], None]:
+    def keep(do: Do) -> None:
+        TASKS[do.__name__] = do, most, {"CVAT": cvat, "SUSTechPOINTS": sustech}
 
     return keep
 
@@ -524,13 +514,12 @@ def warm(hand: Hand) -> None:
 
 def done(hand: Hand, name: str) -> dict[str, Any]:
     """Does a task; returns its figures."""
-    task = TASKS[name]
+    do, _, peers = TASKS[name]
     hand.begin(name)
     try:
-        task.do(hand)
+        do(hand)
     except AssertionError as error:
         raise ConfigError(f"{name}: the result is not what it should be") from error
-    peers = {"CVAT": task.cvat, "SUSTechPOINTS": task.sustech}
     return {"actions": hand.actions, "wait_s": hand.wait_s, "peers": peers}
 
 
@@ -553,7 +542,7 @@ def waiting() -> dict[str, Any]:
 def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
     table = Table("task", "actions", "at most", "s waiting", "CVAT", "SUSTechPOINTS")
     for name, figures in result["tasks"].items():
-        table.add(name, figures["actions"], TASKS[name].most, figures["wait_s"], *figures["peers"].values())
+        table.add(name, figures["actions"], TASKS[name][1], figures["wait_s"], *figures["peers"].values())
     return [table, Table.of_figures({name: value for name, value in result.items() if name != "tasks"})]
 
 
