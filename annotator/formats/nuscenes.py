@@ -45,7 +45,7 @@ from pydantic_core import to_json
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats import reading
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, Lost
 from annotator.formats.frame_names import (
     VISIBILITY,
     DatasetNames,
@@ -59,7 +59,7 @@ from annotator.formats.reading import Lengths
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import Sight
 from annotator.geometry.projection import straightened
-from annotator.geometry.transforms import Quaternions, level_pose
+from annotator.geometry.transforms import IMAGE_UP, UPRIGHT, Quaternions, level_pose
 from annotator.nuscenes_tables import (
     CalibratedSensor,
     EgoPose,
@@ -372,11 +372,17 @@ class NuScenesWriter(DatasetWriter):
         self._attributes: set[str] = set()
         self._shifts_us: dict[Key, int] = {}
         self._starts_us: set[int] = set()
+        self._is_level: dict[Key, bool] = {}
         self.put(MAP_FILE, cv2.imencode(".png", np.zeros((1, 1), np.uint8))[1].tobytes())
 
     def frame(self, item: DatasetItem, frame_id: str) -> None:
         frame, key = item.frame, (item.recording, item.split)
         T_level_camera, world = level_pose(frame.up), frame.T_world_camera
+        # z of the global frame is up, as it may not be in the world of a recording's poses
+        up = IMAGE_UP if frame.up is None else frame.up
+        if world is not None and not self._is_level.setdefault(key, world.rotation.apply(up)[2] > UPRIGHT):
+            self.losses.add(Lost.ORIGIN)
+            world = None
         camera, rgb = straightened(frame.camera, frame.rgb)
         files = {
             CAMERA: self.put_image(f"samples/{CAMERA}/{frame_id}", rgb),
