@@ -29,7 +29,7 @@ PAIRS, LEAST_PAIRS = 12, 2
 # The later frame of a pair is the first one from which the camera has moved so far, or the last of these.
 MOVED_M, MOVED_RAD, MOST_APART = 0.15, np.radians(4), 10
 # Points of the earlier frame, and of the later one.
-POINTS, MOVED_POINTS, NEIGHBOURS = 12_000, 3_000, 12
+POINTS, MOVED_POINTS, NEIGHBOURS = 12_000, 1_500, 12
 # How far a point may be from its counterpart, share of the clouds' median distance, and its limits, metres.
 REACH, REACHES_M = 0.1, (0.2, 2.0)
 # A wall moves if it does so by more than this, metres and share of the median distance.
@@ -93,6 +93,8 @@ MISTAKES: dict[str, Step] = {
     "the poses have OpenGL's axes (x right, y up, z backward)": _in_axes([[1, 0, 0], [0, -1, 0], [0, 0, -1]]),
     "the poses have a vehicle's axes (x ahead, y left, z up)": _in_axes([[0, -1, 0], [0, 0, -1], [1, 0, 0]]),
 }
+# Pairs of frames for which they are tried.
+TRIED = 5
 # Frames by which the poses may be too early or too late.
 LATE = (-2, -1, 1, 2)
 
@@ -171,6 +173,6 @@ class StillWorld:
 
     def _with(self, step: Callable[[int, int], RigidTransform | None]) -> float:
         """Returns how far what stands still moves by other steps between the frames, median, metres."""
-        steps = [(one, other, step(i, j)) for i, j, one, other, _ in self.found]
+        steps = [(one, other, step(i, j)) for i, j, one, other, _ in self.found[:: len(self.found) // TRIED + 1]]
         offs = [off_m(one, other, T) for one, other, T in steps if T is not None]
         return float(np.median(offs)) if len(offs) >= LEAST_PAIRS else np.inf
