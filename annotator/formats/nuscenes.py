@@ -72,7 +72,7 @@ from annotator.nuscenes_tables import (
     read_rows,
 )
 from annotator.text import normal, stem_of
-from annotator.types import Camera, Label, OrientedBox, PointCloud, Truth
+from annotator.types import Camera, Frame, Label, OrientedBox, PointCloud, Truth
 from annotator.types.bases import FileRecord, TrackId
 from annotator.types.errors import FormatError
 
@@ -355,6 +355,17 @@ def token(*parts: object) -> str:
     return uuid.uuid5(NAMESPACE, "\n".join(map(repr, parts))).hex
 
 
+# Farther from its camera, a world is a map, whose z is up; that of odometry may be its first image.
+MAP_M = 500.0
+
+
+def _has_z_up(frame: Frame) -> bool:
+    """True if z of the frame's world is up, as in nuScenes' global frame; without gravity, if the camera is level."""
+    assert frame.T_world_camera is not None
+    T, up = frame.T_world_camera, IMAGE_UP if frame.up is None else frame.up
+    return bool(np.linalg.norm(T.translation) > MAP_M or T.rotation.apply(up)[2] > UPRIGHT)
+
+
 class NuScenesWriter(DatasetWriter):
     """Keeps all rows in memory, without images and clouds."""
 
@@ -378,9 +389,7 @@ class NuScenesWriter(DatasetWriter):
     def frame(self, item: DatasetItem, frame_id: str) -> None:
         frame, key = item.frame, (item.recording, item.split)
         T_level_camera, world = level_pose(frame.up), frame.T_world_camera
-        # z of the global frame is up, as it may not be in the world of a recording's poses
-        up = IMAGE_UP if frame.up is None else frame.up
-        if world is not None and not self._is_level.setdefault(key, world.rotation.apply(up)[2] > UPRIGHT):
+        if world is not None and not self._is_level.setdefault(key, _has_z_up(frame)):
             self.losses.add(Lost.ORIGIN)
             world = None
         camera, rgb = straightened(frame.camera, frame.rgb)

@@ -200,7 +200,9 @@ def odometry_poses(path: Path, calibration: KittiCalibration, keys: Sequence[str
         if key.isascii() and key.isdigit() and len(key) <= MOST_DIGITS and int(key) < len(lines):
             words, number = lines[int(key)].split(), int(key) + 1
             if len(words) != 12:
-                raise RecordingError(f"{path}:{number}: must be a 3 x 4 matrix, 12 numbers, not {len(words)}")
+                raise RecordingError(
+                    f"{path}:{number}: must be a 3 x 4 matrix, 12 numbers, not {len(words)}; correct or remove the file"
+                )
             T_first_rect = pose_of_matrix(path, f"line {number}", numbers(path, number, words))
             poses[at] = T_WORLD_FIRST * T_first_rect * calibration.T_camera_label.inv()
     return Poses.of_frames(path.name, poses)
@@ -409,7 +411,7 @@ def _with_poses(recording: Kitti, *odometry: Path) -> Kitti:
     if file is not None:
         with suppress(FrameError):  # of a calibration, which each frame reports
             poses = odometry_poses(file, recording.calibration(recording.keys[0]), recording.keys)
-    elif not recording.oxts_places() or recording.pose_source is None:
+    elif recording.pose_source is None:
         with suppress(FrameError):  # of a file of times
             poses = read_poses(recording.root, recording.keys, recording.times_ns)
     return replace(recording, poses=poses)

@@ -69,7 +69,7 @@ class Poses:
     times_ns: Int64[np.ndarray, "n"] | None = field(default=None, repr=False)
 
     @staticmethod
-    def listed(path: Path, rows: Iterable[tuple[int, int, Sequence[float]]], source: str = "") -> Poses | None:
+    def listed(path: Path, rows: Iterable[tuple[int, int, Sequence[float]]]) -> Poses | None:
         """Returns the poses of a file's rows: line, time (ns), x y z and the quaternion x y z w; None without rows.
 
         Raises:
@@ -91,7 +91,7 @@ class Poses:
         if not times:
             return None
         table = np.array(values, np.float64)
-        return Poses(source or path.name, table[:, :3], table[:, 3:], np.array(times, np.int64))
+        return Poses(path.name, table[:, :3], table[:, 3:], np.array(times, np.int64))
 
     @staticmethod
     def of_frames(source: str, transforms: Sequence[RigidTransform | None]) -> Poses:
@@ -313,7 +313,8 @@ def _gaps(recording: Recording, poses: dict[int, RigidTransform]) -> tuple[str, 
     if not missing:
         return ()
     if not poses and recording.is_sequence:
-        return (f"no frame has a pose: are the times in {recording.pose_source} of the same clock as the frames'?",)
+        advice = "are its times of the frames' clock, and is its sensor calibrated?"
+        return (f"{recording.pose_source} has a pose for no frame: {advice}",)
     return (f"{amount(len(missing), 'frame')} without a pose: {first_few(missing, MOST_NAMED)}",)
 
 

@@ -165,6 +165,15 @@ def test_odd_times_of_poses_are_refused(tmp_path: Path, times: tuple[float, floa
         open_recording(tmp_path)
 
 
+@pytest.mark.parametrize("name", ["poses.csv", "trajectory.log", "camera_trajectory.json"])
+def test_files_of_a_gigabyte_are_not_read(tmp_path: Path, name: str):
+    write_rgbd(tmp_path, wall(1))
+    with (tmp_path / name).open("wb") as file:
+        file.truncate(10**9)
+    with pytest.raises(RecordingError, match=f"{name}: .*larger than 64 MiB"):
+        open_recording(tmp_path)
+
+
 def test_a_trajectory_of_other_frames_is_not_used_and_told(tmp_path: Path):
     write_rgbd(tmp_path, wall(2))
     put(tmp_path / "trajectory.log", LOG)
@@ -196,7 +205,9 @@ def test_gaps_jumps_other_clocks_and_other_units_are_told(tmp_path: Path):
     put(tmp_path / "poses.csv", HEADER.replace("key", "timestamp_ns") + by_time)
     report = survey_poses(open_recording(tmp_path))
     assert report is not None and (report.posed, report.way_m) == (0, 0)
-    assert report.gaps == ("no frame has a pose: are the times in poses.csv of the same clock as the frames'?",)
+    assert report.gaps == (
+        "poses.csv has a pose for no frame: are its times of the frames' clock, and is its sensor calibrated?",
+    )
 
 
 def tum_wall(folder: Path, lines: str) -> Recording:
