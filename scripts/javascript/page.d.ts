@@ -28,6 +28,8 @@ interface Attributes extends Listeners {
   [name: string]: AttributeValue;
 }
 type Child = Node | string | null | undefined | false;
+/** The tag of an element that is written with its classes: "div.row" is a "div". */
+type TagOf<T extends string, Known> = (T extends `${infer Tag}.${string}` ? Tag : T) & keyof Known;
 
 // -- what all modes share
 
@@ -93,7 +95,7 @@ interface StateValues {
 
 interface StateMethods {
   set(changes: Partial<StateValues>): void;
-  on<K extends keyof StateValues>(name: K, fn: (value: StateValues[K]) => unknown): () => void;
+  on<K extends keyof StateValues>(name: K, fn: (value: StateValues[K]) => unknown, until?: AbortSignal): () => void;
 }
 
 type State = StateValues & StateMethods;
@@ -146,7 +148,6 @@ type KeyHandler = (event: KeyboardEvent, key: string) => unknown;
 type Frames = ReturnType<typeof import("../../web_assets/js/frame_state.js").createFrameState>;
 type Viewport = ReturnType<typeof import("../../web_assets/js/viewport.js").createViewport>;
 type ViewportBar = ReturnType<typeof import("../../web_assets/js/viewport_bar.js").createViewportBar>;
-type JobLine = ReturnType<typeof import("../../web_assets/js/jobs.js").createJobLine>;
 
 /** The object that each mode receives; js/main.js creates it. */
 interface App {
@@ -165,7 +166,7 @@ interface App {
   /** Reads the project's summary again, into state.project. */
   refreshProject(): Promise<void>;
   /** Reads a frame into state.frame, and reports to the other pages that it is open here. */
-  loadFrame(id: number): Promise<FrameState>;
+  loadFrame(id: number, bestFor?: string | null): Promise<FrameState>;
   /** Saves everything. False if something cannot be saved and the operator stays with it. */
   mayLeave(): Promise<boolean>;
   /** Sets the address back to the frame that is shown. */
@@ -185,7 +186,7 @@ type Unsaved = { text: string; retry: () => unknown; action?: string; discard: (
 
 /** A mounted mode. */
 interface Mounted {
-  unmount(): void;
+  unmount?(): void;
   /** Called instead of a new mount if only the frame or the query of the address has changed. */
   route?(route: Route): void;
   /** Resolves when all changes that are being saved are saved, or have failed. */
@@ -204,7 +205,8 @@ type StaleError = Error & { body: { state: FrameState } };
 type TrackTakenError = Error & { body: { track: number } };
 
 interface Mode {
-  mount(root: HTMLElement, app: ModeApp): Mounted;
+  /** `until`: aborted when another mode is mounted. */
+  mount(root: HTMLElement, app: ModeApp, until: AbortSignal): Mounted | void;
 }
 
 /** A version of a frame that could not be saved: lines of text, and the boxes drawn over the other version. */
@@ -473,6 +475,8 @@ type Target = { frame: number; uid: string | null };
 
 type Layout = { xaxis?: object; yaxis?: object; [name: string]: unknown };
 type Chart = { traces: object[]; layout: Layout };
+/** The theme's colours by name. */
+type Colors = Record<string, string>;
 /** The part of the library that js/charts.js uses. */
 type Plotly = {
   react(host: HTMLElement, traces: object[], layout: Layout, config: object): Promise<unknown>;

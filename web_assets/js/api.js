@@ -23,21 +23,13 @@ export function createApi(effort, onSignedOut) {
     if (body !== undefined) headers["Content-Type"] = isFile ? "application/octet-stream" : "application/json";
     let response;
     try {
-      const sent = isFile ? body : body === undefined ? undefined : JSON.stringify(body);
-      response = await fetch(path, {
-        method,
-        headers,
-        credentials: "same-origin",
-        signal: options.signal,
-        body: sent,
-      });
+      const sent = isFile ? body : JSON.stringify(body);
+      response = await fetch(path, { method, headers, signal: options.signal, body: sent });
     } catch (error) {
       if (isAborted(error)) throw error;
-      throw new ApiError(
-        0,
-        "NoAnswer",
-        "The server does not respond. Saved work is safe. Check that the server is running, then try again.",
-      );
+      const text =
+        "The server does not respond. Saved work is safe. Check that the server is running, then try again.";
+      throw new ApiError(0, "NoAnswer", text);
     }
     if (response.ok) return response;
     const answer = await readJson(response);
@@ -79,47 +71,16 @@ export function createApi(effort, onSignedOut) {
       }
     },
 
-    /**
-     * @template T
-     * @param {string} path
-     * @param {RequestOptions} [options]
-     * @returns {Promise<T>}
-     */
+    /** @type {<T>(path: string, options?: RequestOptions) => Promise<T>} */
     get: (path, options) => request("GET", path, undefined, options),
 
-    /**
-     * @template T
-     * @param {string} path
-     * @param {object} [body]
-     * @param {RequestOptions} [options]
-     * @returns {Promise<T>}
-     */
+    /** JSON, or a file. @type {<T>(path: string, body?: object, options?: RequestOptions) => Promise<T>} */
     post: (path, body = {}, options = {}) => request("POST", path, body, options),
 
-    /**
-     * A POST of a file.
-     *
-     * @template T
-     * @param {string} path
-     * @param {File} file
-     * @returns {Promise<T>}
-     */
-    upload: (path, file) => request("POST", path, file),
-
-    /**
-     * @template T
-     * @param {string} path
-     * @param {object} body
-     * @returns {Promise<T>}
-     */
+    /** @type {<T>(path: string, body: object) => Promise<T>} */
     put: (path, body) => request("PUT", path, body),
 
-    /**
-     * @template T
-     * @param {string} path
-     * @param {object} body
-     * @returns {Promise<T>}
-     */
+    /** @type {<T>(path: string, body: object) => Promise<T>} */
     patch: (path, body) => request("PATCH", path, body),
 
     del: (/** @type {string} */ path) => request("DELETE", path, undefined),
@@ -139,6 +100,19 @@ export function createApi(effort, onSignedOut) {
       effort.acknowledge(sent);
       return answer;
     },
+  };
+}
+
+/**
+ * For requests of which only the newest counts: `const isNewest = begin()` before one, `isNewest()` after it.
+ *
+ * @returns {() => () => boolean} begin
+ */
+export function newest() {
+  let asked = 0;
+  return () => {
+    const own = ++asked;
+    return () => own === asked;
   };
 }
 

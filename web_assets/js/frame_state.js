@@ -6,16 +6,14 @@
  * remembered, and the frame is read again afterwards (`isBehind`).
  */
 
+import { createListeners } from "./events.js";
+
 /** Maximum number of times that a frame is read if others keep changing it meanwhile. */
 const MOST_READS = 4;
 
 export function createFrameState(/** @type {App} */ app) {
   const { state } = app;
-  /**
-   * Frame id -> the newest revision that an event has reported.
-   *
-   * @type {Map<number, number>}
-   */
+  /** Frame id -> the newest revision that an event has reported. @type {Map<number, number>} */
   const heard = new Map();
   let hasMissed = false;
 
@@ -39,10 +37,11 @@ export function createFrameState(/** @type {App} */ app) {
       return true;
     },
 
-    /** Reads a frame and opens it. */
-    async open(/** @type {number} */ id, /** @type {RequestOptions} */ options) {
+    /** Reads a frame and opens it, or that of its moment in which a camera sees a label best. */
+    async open(/** @type {number} */ id, /** @type {string | null} */ bestFor, /** @type {RequestOptions} */ options) {
+      const query = bestFor === null ? "" : `?best_for=${encodeURIComponent(bestFor)}`;
       /** @returns {Promise<FrameState>} */
-      const read = () => app.api.get(app.path("frames", id), options);
+      const read = () => app.api.get(`${app.path("frames", id)}${query}`, options);
       let frame = await read();
       for (let reads = 1; reads < MOST_READS && isOutdated(frame); reads += 1) frame = await read();
       hasMissed = false;
@@ -103,8 +102,7 @@ export function currentFrame({ state }) {
 
 /** @returns {State} */
 export function createState(/** @type {StateValues} */ initial) {
-  /** @type {Map<string, Set<(value: never) => unknown>>} */
-  const listeners = new Map();
+  const listeners = createListeners();
   /** @type {State} */
   const state = {
     ...initial,
@@ -112,16 +110,10 @@ export function createState(/** @type {StateValues} */ initial) {
     // listeners are called even if a value is the same object as before
     set(changes) {
       Object.assign(state, changes);
-      for (const [name, value] of Object.entries(changes)) {
-        for (const fn of [...(listeners.get(name) ?? [])]) fn(/** @type {never} */ (value));
-      }
+      for (const [name, value] of Object.entries(changes)) listeners.call(name, value);
     },
 
-    on(name, fn) {
-      const known = listeners.get(name) ?? new Set();
-      listeners.set(name, known.add(fn));
-      return () => known.delete(fn);
-    },
+    on: listeners.on,
   };
   return state;
 }

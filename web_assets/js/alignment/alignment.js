@@ -5,22 +5,22 @@
 
 import { confirm } from "../dialogs.js";
 import { h } from "../dom.js";
-import { isAborted, messageOf } from "../errors.js";
+import { isAborted } from "../errors.js";
 import { createFrameProblem, frameBeside } from "../frame_problem.js";
 import { makeHash } from "../router.js";
 import { createCorrectionPanel } from "./correction_panel.js";
 import { createLevelPanel } from "./level_panel.js";
-import { createPicturePanel, moved } from "./picture.js";
+import { createPicture, moved } from "./picture.js";
 
 const NOT_KEPT = "The correction or the level is not kept yet.";
 
-export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
+/** @type {Mode["mount"]} */
+export function mount(root, app, until) {
   /** @type {Api.AlignmentJson | null} */
   let known = null;
   /** @type {Vector[]} */
   let points = [];
   let frame = app.state.route.frame;
-  let ended = false;
   let isBusy = false;
   /** Someone else has adjusted the recording since it was shown. */
   let isOutdated = false;
@@ -39,7 +39,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     onKeep: (up) => keep("up", { up }),
     onDiscard: discard,
   });
-  const picture = createPicturePanel(app.state.project.recordings, {
+  const picture = createPicture(app.state.project.recordings, {
     onRecording: () => void openRecording(),
     onMissing: (url) => void explain(url),
   });
@@ -48,15 +48,15 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     onStep: (which) => void leaveBroken(which),
   });
   // what is set before the recording is known would be lost
-  const aside = h("div", { class: "aside", inert: true }, correction.root, level.root);
-  root.append(h("div", { class: "alignment-mode", "data-testid": "alignment" }, picture.root, aside));
+  const aside = h("div.aside", { inert: true }, correction.root, level.root);
+  root.append(h("div.alignment-mode", { "data-testid": "alignment" }, picture.root, aside));
 
   function hasUnsaved() {
     return correction.isChanged() || level.isUnsaved();
   }
 
   function show() {
-    if (ended || known === null || frame === null) return;
+    if (until.aborted || known === null || frame === null) return;
     const { camera, width, height } = known;
     const value = correction.value();
     picture.set({
@@ -113,8 +113,8 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   }
 
   function fail(/** @type {unknown} */ error) {
-    if (ended || isAborted(error)) return;
-    picture.setProblem(messageOf(error));
+    if (until.aborted || isAborted(error)) return;
+    picture.setProblem(error);
   }
 
   async function load() {
@@ -125,12 +125,12 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       await app.loadFrame(own);
       /** @type {Api.AlignmentJson} */
       const answer = await app.api.get(app.path("frames", own, "alignment"));
-      if (ended || own !== frame) return;
+      if (until.aborted || own !== frame) return;
       isBroken = false;
       frameProblem.hide();
       take(answer);
     } catch (error) {
-      if (ended || isAborted(error)) return;
+      if (until.aborted || isAborted(error)) return;
       isBroken = frame !== null;
       if (isBroken) frameProblem.show(error);
       else fail(error);
@@ -187,7 +187,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       /** @type {Api.AlignmentJson} */
       const answer = await app.api.change(path, { ...content, frame: own, adjusted: known.adjusted });
       isBusy = false;
-      if (ended) return;
+      if (until.aborted) return;
       take(answer);
       putBack(sliders, up, proposed);
       if (own === frame) await app.loadFrame(own);
@@ -217,7 +217,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       /** @type {Api.EstimatedUp} */
       const found = await app.api.post(app.path("recordings", asked.recording, "estimate-up"), {});
       // another recording may be shown by now, or its clouds may have been turned
-      if (ended || known.recording !== asked.recording || known.adjusted !== asked.adjusted) return;
+      if (until.aborted || known.recording !== asked.recording || known.adjusted !== asked.adjusted) return;
       level.put(found.up, found);
     } catch (error) {
       fail(error);
@@ -242,13 +242,15 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     try {
       /** @type {Api.AlignmentJson} */
       const { recording, adjusted } = await app.api.get(app.path("frames", frame, "alignment"));
-      if (!ended) onAdjusted({ recording, adjusted, operator: "Someone" });
+      if (!until.aborted) onAdjusted({ recording, adjusted, operator: "Someone" });
     } catch (error) {
       fail(error);
     }
   }
 
-  const stops = [app.events.on("adjusted", onAdjusted), app.events.on("reconnected", onReconnected)];
+  app.events.on("adjusted", onAdjusted, until);
+  app.events.on("reconnected", onReconnected, until);
+  until.addEventListener("abort", picture.close);
 
   void load();
   return {
@@ -258,10 +260,5 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       void load();
     },
     unsaved: () => (hasUnsaved() ? { text: NOT_KEPT, retry: keepAll, action: "Keep and continue", discard } : null),
-    unmount() {
-      ended = true;
-      for (const stop of stops) stop();
-      picture.close();
-    },
   };
 }

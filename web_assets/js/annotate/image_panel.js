@@ -192,6 +192,7 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     if (frame.finalised) return "finalised";
     const hint = teach().hint();
     if (hint) return hint;
+    if (desk.shown && desk.shown.better_in !== null) return "Another camera sees this object better. K goes there.";
     return desk.labels().length === 0 ? "Drag a box around an object to add it." : "";
   }
 

@@ -39,17 +39,22 @@ export function createPreload(/** @type {App} */ app, /** @type {Desk} */ desk, 
       const known = app.state.frame;
       /** @type {FrameState} */
       const state =
-        known?.frame.id === next.frame ? known : await app.api.get(app.path("frames", next.frame), { signal });
+        known && desk.stored(next.uid)?.better_in === null
+          ? known
+          : await app.api.get(`${app.path("frames", next.frame)}${next.uid ? `?best_for=${next.uid}` : ""}`, {
+              signal,
+            });
+      const { id } = state.frame;
       const box = state.labels.find(({ uid }) => uid === next.uid)?.box;
       if (state !== known) show(state.image.url);
-      if (!box || (ahead && ahead.frame === next.frame && sameBox(ahead.box, box))) return;
-      const path = app.path("frames", next.frame, "ortho");
+      if (!box || (ahead && ahead.frame === id && sameBox(ahead.box, box))) return;
+      const path = app.path("frames", id, "ortho");
       /** @type {Api.OrthoView[]} */
       const views = await app.api.post(path, { box, size_px: SIZE_PX }, { signal });
-      ahead = { frame: next.frame, box, views };
+      ahead = { frame: id, box, views };
       for (const { url } of views) show(url);
       // the server keeps what it has drawn
-      if (state !== known) await app.api.lines(app.path("frames", next.frame, "sheet"), () => {}, { signal });
+      if (state !== known) await app.api.lines(app.path("frames", id, "sheet"), () => {}, { signal });
     } catch {
       // not ahead, then
     }

@@ -31,6 +31,8 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
   /** @type {QueueItem[]} */
   let items = [];
   let remaining = 0;
+  /** How often something was chosen, and up to which choice the items are the answer. */
+  let [choices, answered] = [0, 0];
   let place = 0;
   let timer = 0;
   let ended = false;
@@ -38,9 +40,11 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
   async function load() {
     const query = new URLSearchParams({ order, ...(label ? { label } : {}), ...value });
     if (source) query.set("source", source);
+    const own = choices;
     /** @type {Api.QueueOut} */
     const answer = await app.api.get(`${app.path("queue")}?${query}`);
-    if (ended) return;
+    if (ended || own !== choices) return;
+    answered = own;
     items = answer.items;
     const hasMore = answer.remaining > remaining;
     remaining = answer.remaining;
@@ -60,6 +64,10 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
     load,
     get items() {
       return items;
+    },
+    /** Another number where the items are those of another choice. */
+    get answered() {
+      return answered;
     },
     get remaining() {
       return remaining;
@@ -86,6 +94,7 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
       source = changes.source ?? source;
       localStorage.setItem("queue-order", order);
       place = 0;
+      choices += 1;
       await load();
     },
 
@@ -110,7 +119,9 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
       if (order === "teach") return this.reloadSoon();
       /** @type {Set<string | null>} */
       const open = new Set(frame.labels.filter(({ state }) => state === "proposed").map(({ uid }) => uid));
-      const gone = (/** @type {QueueItem} */ item) => item.frame === frame.frame.id && !open.has(item.uid);
+      // a label belongs to its moment, whose frames have the same
+      const moment = new Set(Object.values(frame.frame.cameras).concat(frame.frame.id));
+      const gone = (/** @type {QueueItem} */ item) => moment.has(item.frame) && !open.has(item.uid);
       const before = items.length;
       place -= items.slice(0, place).filter(gone).length;
       items = items.filter((item) => !gone(item));
