@@ -1,4 +1,4 @@
-"""The README's moving picture, docs/workbench.webp: drag, dashed boxes, Enter, follow, review, on the running page."""
+"""The README's moving picture, docs/workbench.webp: drag, dashed box, Space, follow, review, on the running page."""
 
 from __future__ import annotations
 

@@ -228,7 +228,7 @@ export function createFields(
     showProblem();
     advice.textContent = desk.labels().length
       ? "No box is selected. Press Tab for the next one, or click a box on the image or in the 3D view."
-      : "This frame has no box yet. Drag one around an object on the image.";
+      : "No box is here yet. Drag one around an object on the image, and take it with Space.";
     if (!label) return;
     const state = desk.hasDraft ? "not saved" : label.isNew ? "new" : label.state;
     chip.textContent = state;

@@ -9,6 +9,7 @@ import { isOpen } from "./desk.js";
 import { shortName } from "./drawing.js";
 import { summary } from "./fields.js";
 import { DRAGS, progressOf } from "./items.js";
+import { REST_MS } from "./opening.js";
 import { ORDERS, OWN } from "./queue.js";
 import { makeHash } from "../router.js";
 import { createValueFilter, refill } from "./value_filter.js";
@@ -257,6 +258,8 @@ export function createBoxList(
     const take = (/** @type {Api.TileJson} */ { uid, png }) =>
       png && pictures.set(uid, `data:image/png;base64,${png}`);
     try {
+      await new Promise((resolve) => setTimeout(resolve, REST_MS));
+      if (signal.aborted) return;
       await app.api.lines(app.path("frames", frame.id, "sheet"), take, { signal });
       if (!signal.aborted) draw();
     } catch (error) {
