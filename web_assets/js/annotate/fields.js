@@ -5,22 +5,44 @@ import { button, count, h, leaveField, patch } from "../dom.js";
 import { jumpText } from "../heading_mark.js";
 import { OWN } from "./queue.js";
 
-const CENTER = [
-  ["x", "to the right of the camera"],
-  ["y", "below the camera"],
-  ["z", "in front of the camera"],
-];
-const SIZE = [
-  ["length", "along the heading"],
-  ["width", "across the heading"],
-  ["height", "along the box's z axis"],
-];
-/** @type {[keyof Angles, string][]} */
-const ANGLES = [
-  ["yaw", "about the scene's up direction; 0° points away from the camera"],
-  ["pitch", "a positive angle lowers the front"],
-  ["roll", "about the heading"],
-];
+/** A number of a box's centre or size, metres. */
+const metres = (/** @type {"center" | "size"} */ key, /** @type {number} */ i, least = -Infinity) => ({
+  ...{ unit: "m", step: 0.01, digits: 3 },
+  get: (/** @type {Box3D} */ box) => box[key][i],
+  set: (/** @type {Box3D} */ box, /** @type {number} */ value) => ({
+    ...box,
+    [key]: box[key].with(i, Math.max(value, least)),
+  }),
+});
+/** An angle of a box. */
+const degrees = (/** @type {keyof Angles} */ name) => ({
+  ...{ unit: "°", step: 1, digits: 1 },
+  get: (/** @type {Box3D} */ box, /** @type {Vector | null} */ up) => anglesDeg(box, up)[name],
+  set: (/** @type {Box3D} */ box, /** @type {number} */ value, /** @type {Vector | null} */ up) =>
+    withAnglesDeg(box, up, { ...anglesDeg(box, up), [name]: value }),
+});
+/**
+ * The numbers of a box, in groups: test id, name, help, and how it is read and written.
+ *
+ * @type {Record<string, [string, string, string, ReturnType<typeof metres> | ReturnType<typeof degrees>][]>}
+ */
+const NUMBERS = {
+  Centre: [
+    ["center-x", "x", "to the right of the camera", metres("center", 0)],
+    ["center-y", "y", "below the camera", metres("center", 1)],
+    ["center-z", "z", "in front of the camera", metres("center", 2)],
+  ],
+  Size: [
+    ["size-length", "length", "along the heading", metres("size", 0, MIN_SIZE_M)],
+    ["size-width", "width", "across the heading", metres("size", 1, MIN_SIZE_M)],
+    ["size-height", "height", "along the box's z axis", metres("size", 2, MIN_SIZE_M)],
+  ],
+  Rotation: [
+    ["yaw", "yaw", "about the scene's up direction; 0° points away from the camera", degrees("yaw")],
+    ["pitch", "pitch", "a positive angle lowers the front", degrees("pitch")],
+    ["roll", "roll", "about the heading", degrees("roll")],
+  ],
+};
 
 export function createFields(
   /** @type {HTMLElement} */ host,
@@ -57,26 +79,21 @@ export function createFields(
   );
   host.replaceChildren(h("header", {}, title, h("span", { class: "grow" }), chip), problem, form, nothing);
 
-  function number(
-    /** @type {string} */ name,
-    /** @type {string} */ label,
-    /** @type {string} */ help,
-    /** @type {string} */ unit,
-    /** @type {number} */ step,
-    /** @type {(value: number) => void} */ change,
-  ) {
+  /** @param {typeof NUMBERS[string][number]} one */
+  function number([id, name, help, { unit, step, set }]) {
     /** @type {HTMLInputElement} */
     const input = h("input", {
       type: "number",
       step,
-      "aria-label": `${label} in ${unit}`,
-      title: `${label}: ${help}`,
-      "data-testid": `field-${name}`,
+      "aria-label": `${name} in ${unit}`,
+      title: `${name}: ${help}`,
+      "data-testid": `field-${id}`,
       // a click selects the old number, so that typing replaces it
       onfocus: () => input.select(),
       oninput: () => {
         typed = input;
-        if (Number.isFinite(input.valueAsNumber)) change(input.valueAsNumber);
+        if (desk.shown && Number.isFinite(input.valueAsNumber))
+          desk.preview({ box: set(copyBox(desk.shown.box), input.valueAsNumber, up()) });
       },
       onchange: () => leave(input),
       onkeydown: (event) => {
@@ -85,9 +102,9 @@ export function createFields(
         abandon();
       },
     });
-    inputs[name] = input;
-    names[name] = h("span", {}, label);
-    return h("label", { class: "number-field" }, names[name], input, h("span", { class: "unit" }, unit));
+    inputs[id] = input;
+    names[id] = h("span", {}, name);
+    return h("label", { class: "number-field" }, names[id], input, h("span", { class: "unit" }, unit));
   }
 
   // Typing changes the box on the screen; leaving the field or pressing Enter saves that as one edit.
@@ -104,11 +121,6 @@ export function createFields(
     else show();
   }
 
-  function setBox(/** @type {(box: Box3D) => Box3D} */ change) {
-    if (desk.shown) desk.preview({ box: change(copyBox(desk.shown.box)) });
-  }
-  const place = (/** @type {number[]} */ list, /** @type {number} */ i, /** @type {number} */ value) =>
-    list.map((old, k) => (k === i ? value : old));
   const choice = h("select", {
     "aria-label": "Class",
     "data-testid": "field-class",
@@ -149,38 +161,7 @@ export function createFields(
       h("label", { class: "number-field" }, h("span", {}, "Class"), choice),
       h("label", { class: "number-field" }, h("span", {}, "Track"), track),
     ),
-    group(
-      "Centre",
-      CENTER.map(([name, help], i) =>
-        number(`center-${name}`, name, help, "m", 0.01, (value) =>
-          setBox((old) => ({ ...old, center: place(old.center, i, value) })),
-        ),
-      ),
-    ),
-    group(
-      "Size",
-      SIZE.map(([name, help], i) =>
-        number(`size-${name}`, name, help, "m", 0.01, (value) =>
-          setBox((old) => ({
-            ...old,
-            size: place(old.size, i, Math.max(value, MIN_SIZE_M)),
-          })),
-        ),
-      ),
-    ),
-    group(
-      "Rotation",
-      ANGLES.map(([name, help]) =>
-        number(name, name, help, "°", 1, (value) =>
-          setBox((old) =>
-            withAnglesDeg(old, up(), {
-              ...anglesDeg(old, up()),
-              [name]: value,
-            }),
-          ),
-        ),
-      ),
-    ),
+    ...Object.entries(NUMBERS).map(([name, all]) => h("fieldset", {}, h("legend", {}, name), all.map(number))),
   ];
   form.append(...ofBox, attributes, facts);
   ofBox.push(facts);
@@ -233,14 +214,7 @@ export function createFields(
     const state = desk.hasDraft ? "not saved" : label.isNew ? "new" : label.state;
     chip.textContent = state;
     chip.className = `chip state-${label.state}`;
-    const turn = anglesDeg(label.box, up());
-    CENTER.forEach(([name], i) => {
-      put(`center-${name}`, label.box.center[i], 3);
-    });
-    SIZE.forEach(([name], i) => {
-      put(`size-${name}`, label.box.size[i], 3);
-    });
-    for (const [name] of ANGLES) put(name, turn[name], 1);
+    for (const [id, , , { get, digits }] of Object.values(NUMBERS).flat()) put(id, get(label.box, up()), digits);
     const jump = jumpText(label);
     names.yaw.textContent = jump || "yaw";
     names.yaw.className = jump ? "bad" : "";
@@ -252,10 +226,6 @@ export function createFields(
   }
 
   return { show, fill, attributes };
-}
-
-function group(/** @type {string} */ name, /** @type {Node[]} */ fields) {
-  return h("fieldset", {}, h("legend", {}, name), fields);
 }
 
 const percent = (/** @type {number | null | undefined} */ value) =>
