@@ -9,7 +9,7 @@ import {
   copyBox,
   headingJump,
   sameBox,
-  turnedInView,
+  turned,
   viewHeading,
   viewOutline,
   viewRect,
@@ -167,19 +167,11 @@ function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
       if (desk.hasDraft) void desk.commit(actions);
       else follow();
     },
-    onRotate(angleRad, final) {
-      if (!view || !desk.shown) return;
-      desk.preview({ box: turnedInView(view, begin(desk.shown), angleRad) });
-      if (!final) return;
-      end();
-      void desk.commit();
+    onRotate(angleRad, isFinal) {
+      if (view && desk.shown) pull(turned(begin(desk.shown), view.axes[2], angleRad), isFinal);
     },
     onSlide(metres, isFinal) {
-      if (!desk.shown) return;
-      desk.preview({ box: slid(begin(desk.shown), metres) });
-      if (!isFinal) return;
-      end();
-      void desk.commit();
+      if (desk.shown) pull(slid(begin(desk.shown), metres), isFinal);
     },
   });
 
@@ -208,6 +200,14 @@ function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
 
   function end() {
     start = null;
+  }
+
+  /** A handle has moved the box. */
+  function pull(/** @type {Box3D} */ box, /** @type {boolean} */ isFinal) {
+    desk.preview({ box });
+    if (!isFinal) return;
+    end();
+    void desk.commit();
   }
 
   /** @returns {Overlay} */

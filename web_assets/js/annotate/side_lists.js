@@ -22,29 +22,26 @@ export function createQueueList(
   /** @type {Queue} */ queue,
   /** @type {{ open: (target: Target) => unknown }} */ { open: go },
 ) {
-  /** @type {HTMLSelectElement} */
-  const order = h(
-    "select",
-    {
-      "aria-label": "Order of the queue",
-      "data-testid": "queue-order",
-      onchange: () => choose(order, { order: order.value }),
-    },
-    ORDERS.map(([value, text]) => h("option", { value }, text)),
-  );
-  /** @type {HTMLSelectElement} */
-  const label = h("select", {
-    "aria-label": "Class in the queue",
-    "data-testid": "queue-class",
-    onchange: () => choose(label, { label: label.value }),
-  });
-  const values = createValueFilter(app, (value) => choose(null, { value }));
-  /** @type {HTMLSelectElement} */
-  const source = h("select", {
-    "aria-label": "Source in the queue",
-    "data-testid": "queue-source",
-    onchange: () => choose(source, { source: source.value }),
-  });
+  /** A choice of the queue. @returns {HTMLSelectElement} */
+  const select = (
+    /** @type {"order" | "label" | "source"} */ key,
+    /** @type {string} */ name,
+    /** @type {string} */ id,
+  ) =>
+    h("select", {
+      "aria-label": name,
+      "data-testid": `queue-${id}`,
+      onchange(event) {
+        const field = /** @type {HTMLSelectElement} */ (event.currentTarget);
+        // so that Space and the digits are keys of the mode again
+        field.blur();
+        choose({ [key]: field.value });
+      },
+    });
+  const order = select("order", "Order of the queue", "order");
+  const label = select("label", "Class in the queue", "class");
+  const source = select("source", "Source in the queue", "source");
+  const values = createValueFilter(app, (value) => choose({ value }));
   const left = h("span", { class: "number muted", "data-testid": "queue-remaining" });
   const list = h("ol", { class: "rows", "data-testid": "queue" });
   /** @type {string | null} */
@@ -56,6 +53,7 @@ export function createQueueList(
    */
   let standing = [];
   fill();
+  order.append(...ORDERS.map(([value, text]) => h("option", { value }, text)));
   order.value = queue.order;
   host.replaceChildren(
     h("header", {}, h("h2", {}, "To review"), h("span", { class: "grow" }), left),
@@ -70,15 +68,10 @@ export function createQueueList(
     const isEnded = [refill(label, "All classes", new Map(classes.map((name) => [name, name]))), values.fill()].some(
       Boolean,
     );
-    if (isEnded) choose(label, { label: label.value, value: values.query() });
+    if (isEnded) choose({ label: label.value, value: values.query() });
   }
 
-  function choose(
-    /** @type {HTMLSelectElement | null} */ select,
-    /** @type {Parameters<Queue["choose"]>[0]} */ changes,
-  ) {
-    // so that Space and the digits are keys of the mode again
-    select?.blur();
+  function choose(/** @type {Parameters<Queue["choose"]>[0]} */ changes) {
     standing = [];
     queue.choose(changes).then(() => queue.items[0] && go(queue.items[0]), app.toast);
   }
@@ -113,9 +106,9 @@ export function createQueueList(
         ),
       ];
     const clear = () => {
-      for (const select of [label, source]) select.value = "";
+      label.value = source.value = "";
       values.clear();
-      choose(label, { label: "", value: {}, source: "" });
+      choose({ label: "", value: {}, source: "" });
     };
     return [
       h("p", {}, "No proposal matches the filter."),
