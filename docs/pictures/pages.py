@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +25,7 @@ from annotator.synthetic import write_generated
 from annotator.types import OrientedBox, ReviewState
 from annotator.workflows.add_recordings import ALL, add_recordings, register_recording
 from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.sample import RECORDING, SAMPLES
 
 SIZES = ((1366, 768), (1920, 1080), (2560, 1440))
 THEMES = ("light", "dark")
@@ -90,6 +92,8 @@ def fill(work: Path) -> None:
         path.mkdir(parents=True)
     (recordings / "notes" / "readme.txt").write_text("nothing to read here")
     write_generated(recordings / "people", "people", FRAMES, SEED)
+    # the sample is there at once
+    shutil.copytree(recordings / "people", work / "none" / SAMPLES / RECORDING)
     write_generated(recordings / "table", "objects", 4, 3)
     upright = ProjectSettings(rotation=BoxRotation.UPRIGHT)
     with create_project(projects, "room", ("person", "chair", "table"), settings=upright) as project:
@@ -115,7 +119,7 @@ def fill(work: Path) -> None:
     with create_project(projects, "damaged", ("object",)) as project:
         write_generated(recordings / "damaged", "objects", 2, 4)
         register_recording(project, open_recording(recordings / "damaged"))
-        next((recordings / "damaged" / "color").iterdir()).write_bytes(b"")
+        min((recordings / "damaged" / "color").iterdir()).write_bytes(b"")
     worked_project(projects, "worked", Work(frames=2000, reviewed=1400, days=10)).close()
 
 
@@ -187,7 +191,7 @@ def drawn(page: Page) -> None:
 def guided(page: Page) -> None:
     """The sample project with its guide."""
     page.get_by_test_id("sample-project").first.click()
-    page.get_by_test_id("guide").wait_for(timeout=10 * PATIENCE_MS)
+    page.get_by_test_id("guide").wait_for()
     page.locator("[data-testid=image-editor] img.picture[src]").first.wait_for()
 
 
@@ -195,12 +199,12 @@ def training(page: Page) -> None:
     at("room/train")(page)
     page.get_by_test_id("train-minutes").fill(str(TRAINED_MIN))
     page.get_by_test_id("train-start").click()
-    page.get_by_test_id("curves-quality").locator(".main-svg").first.wait_for(timeout=60 * PATIENCE_MS)
+    page.get_by_test_id("curves-quality").locator(".main-svg").first.wait_for(timeout=5 * PATIENCE_MS)
 
 
 def trained(page: Page) -> None:
     at("room/train")(page)
-    page.get_by_test_id("model-row").first.wait_for(timeout=60 * PATIENCE_MS)
+    page.get_by_test_id("model-row").first.wait_for(timeout=5 * PATIENCE_MS)
 
 
 def exported(page: Page) -> None:
@@ -235,18 +239,19 @@ PLACES: dict[str, Callable[[Page], None]] = {
     "keys": at("room/statistics", "help"),
     "missing": at("no-such-project/annotate"),
     "annotate-frame": at("room/annotate/3", key="Tab"),
-    "annotate-queue": at("room/annotate", "queue-item"),
+    "annotate-queue": at("room/annotate/8", "queue-item"),
     "annotate-open": at("fresh/annotate/1"),
     "annotate-drawn": drawn,
     "annotate-empty": at("nothing/annotate"),
     "annotate-broken": at("damaged/annotate"),
     "annotate-rig": at("street/annotate/1", key="Tab"),
-    "annotate-map": at("street/annotate/2", key="m"),
     "annotate-sheet": at("room/annotate/3?track=1", key="s"),
     "annotate-class": at("street/annotate/1", key="/"),
     "annotate-cameras": at("street/annotate/1", "choose-cameras"),
     "annotate-recordings": at("room/annotate/1", "choose-recordings"),
     "annotate-track": at("room/annotate/3?track=1", key="e"),
+    # the last of these: the page keeps the top view
+    "annotate-map": at("street/annotate/2", key="m"),
     "alignment": at("room/alignment/1"),
     "alignment-lidar": at("street/alignment/1"),
     "train-empty": at("nothing/train"),

@@ -28,6 +28,8 @@ interface Attributes extends Listeners {
   [name: string]: AttributeValue;
 }
 type Child = Node | string | null | undefined | false;
+/** The tag of an element that is written with its classes: "div.row" is a "div". */
+type TagOf<T extends string, Known> = (T extends `${infer Tag}.${string}` ? Tag : T) & keyof Known;
 
 // -- what all modes share
 
@@ -93,7 +95,7 @@ interface StateValues {
 
 interface StateMethods {
   set(changes: Partial<StateValues>): void;
-  on<K extends keyof StateValues>(name: K, fn: (value: StateValues[K]) => unknown): () => void;
+  on<K extends keyof StateValues>(name: K, fn: (value: StateValues[K]) => unknown, until?: AbortSignal): () => void;
 }
 
 type State = StateValues & StateMethods;
@@ -138,6 +140,32 @@ type MovedBox = { uid: string; box: Box3D; final: boolean };
 type BoxColor = "state" | "class" | "track";
 type ViewportState = "opening" | "ready" | "lost" | "unsupported";
 
+type Word<W> = W extends string ? (string extends W ? "*" : W) : "*";
+/** The words of a path, with a star for each value. */
+type Words<P extends readonly unknown[]> = P extends readonly [infer W]
+  ? Word<W>
+  : P extends readonly [infer W, ...infer Rest]
+    ? `${Word<W>}/${Words<Rest>}`
+    : "";
+/** The path of a project's resource; `of` is there only for the type of the answer. */
+type ProjectPath<P extends readonly unknown[]> = string & { readonly of: Words<P> };
+type Asked<
+  Method extends string,
+  P,
+> = `${Method} ${P extends { readonly of: infer Of extends string } ? Of : P & string}`;
+/** What the server's schema says of the answer to a request; unknown for a path that is made of text. */
+type Answer<Method extends string, P> =
+  Asked<Method, P> extends infer Known extends keyof Api.Answers ? Api.Answers[Known] : unknown;
+type Ask<Method extends string> = <P extends string, T = Answer<Method, P>>(
+  path: P,
+  options?: RequestOptions,
+) => Promise<T>;
+type Send<Method extends string> = <P extends string, T = Answer<Method, P>>(
+  path: P,
+  body?: object,
+  options?: RequestOptions,
+) => Promise<T>;
+
 type Client = ReturnType<typeof import("../../web_assets/js/api.js").createApi>;
 type RequestOptions = { signal?: AbortSignal };
 type EffortCounter = ReturnType<typeof import("../../web_assets/js/effort.js").createEffort>;
@@ -147,7 +175,6 @@ type KeyHandler = (event: KeyboardEvent, key: string) => unknown;
 type Frames = ReturnType<typeof import("../../web_assets/js/frame_state.js").createFrameState>;
 type Viewport = ReturnType<typeof import("../../web_assets/js/viewport.js").createViewport>;
 type ViewportBar = ReturnType<typeof import("../../web_assets/js/viewport_bar.js").createViewportBar>;
-type JobLine = ReturnType<typeof import("../../web_assets/js/jobs.js").createJobLine>;
 
 /** The object that each mode receives; js/main.js creates it. */
 interface App {
@@ -162,7 +189,7 @@ interface App {
   /** Goes to an address from router.makeHash. */
   go(hash: string): void;
   /** The path of a resource of the open project: app.path("frames", 3). */
-  path(...parts: (string | number)[]): string;
+  path<const P extends readonly (string | number)[]>(...parts: P): ProjectPath<P>;
   /** Reads the project's summary again, into state.project. */
   refreshProject(): Promise<void>;
   /** Reads a frame into state.frame, and reports to the other pages that it is open here. */
@@ -186,7 +213,7 @@ type Unsaved = { text: string; retry: () => unknown; action?: string; discard: (
 
 /** A mounted mode. */
 interface Mounted {
-  unmount(): void;
+  unmount?(): void;
   /** Called instead of a new mount if only the frame or the query of the address has changed. */
   route?(route: Route): void;
   /** Resolves when all changes that are being saved are saved, or have failed. */
@@ -205,7 +232,8 @@ type StaleError = Error & { body: { state: FrameState } };
 type TrackTakenError = Error & { body: { track: number } };
 
 interface Mode {
-  mount(root: HTMLElement, app: ModeApp): Mounted;
+  /** `until`: aborted when another mode is mounted. */
+  mount(root: HTMLElement, app: ModeApp, until: AbortSignal): Mounted | void;
 }
 
 /** A version of a frame that could not be saved: lines of text, and the boxes drawn over the other version. */
@@ -467,6 +495,8 @@ type Target = { frame: number; uid: string | null };
 
 type Layout = { xaxis?: object; yaxis?: object; [name: string]: unknown };
 type Chart = { traces: object[]; layout: Layout };
+/** The theme's colours by name. */
+type Colors = Record<string, string>;
 /** The part of the library that js/charts.js uses. */
 type Plotly = {
   react(host: HTMLElement, traces: object[], layout: Layout, config: object): Promise<unknown>;

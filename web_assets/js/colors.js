@@ -8,6 +8,8 @@
  */
 export const STATE_COLORS = { proposed: "#f0ad4e", accepted: "#5fca85", edited: "#6aaef5", rejected: "#9aa1ad" };
 
+export const STATES = Object.keys(STATE_COLORS);
+
 /** Of 20 classes; any two, and each beside what is proposed, are at least 0.12 apart in OKLab. */
 export const PALETTE = [
   ...["#2ec4f0", "#ff5d8f", "#b5e61d", "#9d8df1", "#fc6c0c", "#3ddc97", "#b40cc0", "#0c60fc", "#f0e49c", "#488400"],

@@ -27,6 +27,6 @@ export function headingMark(heading, up, jump = "") {
       title: jump ? `${jump} from the box beside it in its track` : "Where it faces, seen from above",
       "data-testid": jump ? "heading-jump" : "heading-mark",
     },
-    s("svg", { class: "glyph", viewBox: "0 0 16 16", "aria-hidden": "true" }, arrow),
+    s("svg.glyph", { viewBox: "0 0 16 16", "aria-hidden": "true" }, arrow),
   );
 }

@@ -81,7 +81,6 @@ export const KEYS = [
     ["follow-all-back", ["Shift+J"], "Follow them backward", ["Shift", "J"]],
     ["sheet", ["S"], "Contact sheet of this object's track"],
     ["copy-next", ["Shift+C"], "Copy this box to the next frame", ["Shift", "C"]],
-    ["carry", ["A"], "Correct the boxes after this one, the track's last reviewed one, alike"],
     ["track-split", ["E"], "Split the track here: from this frame on, it gets a new number"],
     ["track-merge", ["Shift+M"], "Merge the track with another one", ["Shift", "M"]],
     ["track-class", digits("Shift+"), "Class of the whole track", ["Shift", "1", "…", "9"]],

@@ -202,7 +202,7 @@ def changes(at: AtFrame, body: ChangesIn) -> JSONResponse:
     with at.change(body):
         context = body.context(at.operator, body.subject)
         payloads = [entry.payload() for entry in body.changes]
-        moved = apply_changes(at.project, at.frame_id, payloads, context, at.open)
+        moved = apply_changes(at.project, at.frame_id, payloads, context, at.open, at.recording)
     return ModelResponse(ChangedJson.of(at.state(), moved=moved))
 
 

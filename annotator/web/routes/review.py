@@ -411,5 +411,5 @@ def save(at: AtFrame, body: SaveIn) -> SaveOut:
         answer = _steps_json(at, opened, labelling, ready)
     with at.change(body):
         image_boxes, context = [box.box() for box in body.image_boxes], body.context(at.operator, body.subject)
-        uid = save_object(at.project, at.frame_id, opened, image_boxes, body.box_kind, drawn, context)
+        uid = save_object(at.project, at.frame_id, opened, image_boxes, body.box_kind, drawn, context, at.recording)
     return SaveOut.model_construct(state=at.state(), uid=uid, drawn=answer)

@@ -200,7 +200,7 @@ def test_recordings_and_projects_are_managed_from_a_menu(room: Project, start: P
     get("copy-labels").uncheck()
     get("dialog-copy").click()
     expect(get("project-hall")).to_contain_text("copied to hall-copy, without labels")
-    expect(get("project-hall-copy")).to_contain_text("no labels")
+    expect(get("project-hall-copy")).to_contain_text("no boxes yet")
 
     choose("remove", "hall")
     get("dialog-cancel").click()
@@ -270,13 +270,15 @@ def test_open_pages_follow_a_project_that_is_renamed_removed_missing_or_not_answ
     page.goto("/#/later/statistics")
     page.reload()
     expect(offline).to_contain_text("no connection")
+    lost.clear()
     page.get_by_test_id("home").click()
     expect(page.get_by_test_id("new-project").first).to_be_visible()
     expect(offline).to_be_empty()
-    lost.clear()
 
 
-def test_virtual_cameras_are_added_and_share_a_label(start: Page, shop: Shop) -> None:
+def test_virtual_cameras_share_a_label_and_topics_of_a_bag_are_chosen_with_a_preview(
+    start: Page, shop: Shop, tmp_path: Path
+) -> None:
     create_project(shop.live.settings.projects_root, "rig", ("car",)).close()
     shop.projects.append("rig")
     start.reload()
@@ -338,8 +340,8 @@ def test_virtual_cameras_are_added_and_share_a_label(start: Page, shop: Shop) ->
     expect(start.get_by_test_id("keep-correction")).to_be_hidden()
     expect(start.get_by_test_id("estimate-up")).to_be_visible()
 
-
-def test_topics_and_calibrations_are_chosen_with_a_preview(start: Page, shop: Shop, tmp_path: Path) -> None:
+    # a bag with two cameras
+    start.get_by_test_id("home").click()
     live, root = shop.live, shop.folder
     (tmp_path / "left and right").mkdir()
     with BagWriter(tmp_path / "left and right", "ros1") as bag:

@@ -13,6 +13,7 @@ import { askClass } from "../classes/picker.js";
 import { button, h } from "../dom.js";
 import { createFrameProblem } from "../frame_problem.js";
 import { showHints } from "../messages.js";
+import { addRecordings } from "../start/recordings.js";
 import { createActions } from "./actions.js";
 import { createAreas } from "./areas.js";
 import { createNextClass } from "./class_picker.js";
@@ -46,7 +47,7 @@ const once =
 export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
   root.classList.add("fixed");
   if (app.state.project.frames === 0) {
-    root.append(emptyProject(app.state.project.name));
+    root.append(emptyProject(app));
     return { unmount() {} };
   }
   const parts = layout();
@@ -60,9 +61,9 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     queue,
     onLoading() {
       showBusy();
-      showActions();
+      if (opening.loading) showActions();
+      else showAll();
     },
-    onOpened: showAll,
     onProblem(error, frame) {
       scene.fail(frame);
       if (error === null) problem.hide();
@@ -179,7 +180,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     "follow-all": once(() => commands.followAll("forward")),
     "follow-all-back": once(() => commands.followAll("backward")),
     "copy-next": once(() => commands.whenCalm(() => tracks.copyToNext())),
-    carry: once(() => commands.whenCalm(() => tracks.carry())),
     ...Object.fromEntries(
       Object.entries(OPERATIONS)
         .filter(([, { key }]) => key)
@@ -245,6 +245,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   /** The object that is drawn has changed. */
   function showDrawn() {
     showBusy();
+    if (opening.loading) return;
     image.show();
     boxList.show();
     showActions();
@@ -270,6 +271,8 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   }
 
   function showAll() {
+    // the next frame is shown once, when its box is selected
+    if (opening.loading) return;
     const picture = app.state.frame?.image;
     parts.root.classList.toggle("wide", picture !== undefined && picture.width > WIDE_ASPECT * picture.height);
     image.show();
@@ -281,8 +284,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     const track = desk.stored()?.track_id ?? null;
     if (track !== app.state.track) app.state.set({ track });
     showQueue();
-    // not the old frame again while the next one is being opened
-    if (!opening.loading) scene.show();
+    scene.show();
     map.show();
     void ortho.show();
   }
@@ -366,8 +368,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       else if (track !== null) opening.pick(null, track);
     },
     unsaved() {
-      const own = desk.unsaved && { ...desk.unsaved, retry: desk.retryAll, discard: desk.discardAll };
-      const all = [teach.unsaved, own].filter((one) => one !== null);
+      const all = [teach.unsaved, desk.unsaved].filter((one) => one !== null);
       if (all.length === 0) return null;
       return {
         text: all.map(({ text }) => text).join(" "),
@@ -449,12 +450,22 @@ export function layout() {
 }
 
 /** Shown in place of the panels if the project has no frame. */
-export function emptyProject(/** @type {string} */ name) {
+export function emptyProject(/** @type {ModeApp} */ app) {
+  const { name } = app.state.project;
+  const add = async () => {
+    await addRecordings(app, name);
+    await app.refreshProject();
+    app.go(location.hash);
+  };
   return h(
     "div",
     { class: "empty", "data-testid": "no-frames" },
     h("h2", {}, `${name} has no recording yet`),
-    h("p", {}, "Add one on the start page; its frames are then shown here."),
-    h("a", { class: "button", href: "#/" }, "Go to the start page"),
+    h(
+      "p",
+      {},
+      "A recording is a folder or file of images and depth, of point clouds, or of both. Its files stay where they are.",
+    ),
+    button("Add recordings", add, { class: "primary" }),
   );
 }

@@ -32,12 +32,6 @@ export function createDesk(/** @type {App} */ app) {
    * @type {Map<string | null, NewLabel>}
    */
   const added = new Map();
-  /**
-   * Boxes by uid, as they were before they were corrected on this page.
-   *
-   * @type {Map<string, Box3D>}
-   */
-  const former = new Map();
   let number = 0;
   /** @type {number | null} */
   let home = null;
@@ -78,9 +72,11 @@ export function createDesk(/** @type {App} */ app) {
    * Sends a change of the open frame for which the operator need not choose between two versions. If others have changed
    * the frame in the meantime, theirs is shown, and the change is refused, or sent again.
    *
-   * @param {string} what
+   * @template {string} What
+   * @param {What} what
    * @param {() => object} body
    * @param {boolean} [isSentAgain]
+   * @returns {Promise<Answer<"POST", ProjectPath<["frames", number, What]>>>}
    */
   function change(what, body, isSentAgain = false) {
     const { id } = currentFrame(app).frame;
@@ -120,7 +116,6 @@ export function createDesk(/** @type {App} */ app) {
   ) {
     const body = { revision: currentFrame(app).frame.revision, changes, subject };
     try {
-      /** @type {Api.ChangedJson} */
       const { moved, ...state } = await app.api.change(app.path("frames", id, "changes"), body);
       app.frames.take(state);
       if (moved > 0) app.toast(`${count(moved, "unreviewed box", "unreviewed boxes")} of the track moved along.`);
@@ -248,7 +243,6 @@ export function createDesk(/** @type {App} */ app) {
       ? { kind: "track", uid: id, track_id }
       : { kind: "edit", uid: id, label, box, track_id, box_kind: before && fillSame(before.box, box) ? null : "box" };
     const error = await send([change], id);
-    if (!error && before && !former.has(id) && !sameBox(before.box, box)) former.set(id, copyBox(before.box));
     if (draft.sending === wanted) draft.sending = null;
     draft.problem = error;
     if (!error && draft.wanted === wanted && drafts.get(id) === draft) drafts.delete(id);
@@ -298,8 +292,6 @@ export function createDesk(/** @type {App} */ app) {
       return label && seen(label);
     },
 
-    /** A stored box as it was before it was corrected on this page, or null. */
-    formerBox: (/** @type {string} */ id) => former.get(id) ?? null,
     isDraft: (/** @type {string} */ id) => drafts.has(id),
     /** The box on the image in which a new box was found, or null. */
     imageBox: (/** @type {string} */ id) => added.get(id)?.image_box ?? null,
@@ -339,7 +331,7 @@ export function createDesk(/** @type {App} */ app) {
       notify("selection");
     },
 
-    /** What would be lost if the page were left now; null if everything is saved. */
+    /** What would be lost if the page were left now; null if everything is saved. @returns {Unsaved | null} */
     get unsaved() {
       const changed = [...drafts.keys()].filter((id) => !added.has(id)).length;
       if (changed === 0 && added.size === 0 && waiting === 0) return null;
@@ -349,7 +341,15 @@ export function createDesk(/** @type {App} */ app) {
         added.size && count(added.size, "new box, not accepted yet", "new boxes, not accepted yet"),
         changed === 0 && added.size === 0 && "what is being sent",
       ];
-      return { text: `Not saved: ${what.filter(Boolean).join(", ")}. ${[...new Set(problems)].join(" ")}`.trim() };
+      return {
+        text: `Not saved: ${what.filter(Boolean).join(", ")}. ${[...new Set(problems)].join(" ")}`.trim(),
+        retry: () => Promise.all([...new Set([...drafts.keys(), ...added.keys()])].map(retry)),
+        discard() {
+          forget();
+          if (!stored()) uid = null;
+          notify("frame");
+        },
+      };
     },
 
     /** Calls `fn(what)` after changes. Returns a function that removes this listener. */
@@ -395,13 +395,6 @@ export function createDesk(/** @type {App} */ app) {
 
     /** Saves a box that could not be saved or is not accepted. */
     retry: (id = uid) => retry(id),
-    retryAll: () => Promise.all([...new Set([...drafts.keys(), ...added.keys()])].map(retry)),
-    discardAll() {
-      forget();
-      if (!stored()) uid = null;
-      notify("frame");
-    },
-
     /** Accepts, rejects or deletes a label. */
     async decide(/** @type {"accept" | "reject" | "delete"} */ kind, /** @type {string} */ id) {
       const entry = added.get(id);

@@ -46,7 +46,8 @@ export function createOrthoViews(
   /** @type {ReturnType<typeof import("./preload.js").createPreload>} */ preload,
 ) {
   const panels = NAMES.map((name) => createPanel(name, desk));
-  host.append(...panels.map(({ root }) => root));
+  const note = h("p", { class: "note" }, "A box is seen here from above, from the front and from its right.");
+  host.append(...panels.map(({ root }) => root), note);
   /** @type {{ frame: number, box: Box3D } | null} */
   let fetched = null;
   /** @type {AbortController | null} */

@@ -269,7 +269,7 @@ export function mountTimeline(/** @type {HTMLElement} */ root, /** @type {App} *
     lanes.slice(from, Math.ceil((top + height) / ROW)).forEach((lane, i) => {
       drawLane(context, lane, (from + i) * ROW - top, { text, line, accent, muted });
     });
-    if (now < 0) return;
+    if (now < 0 || !lanes.length) return;
     context.fillStyle = accent;
     context.fillRect(Math.round(xOf(now + 0.5)), 0, 1, height);
   }
