@@ -43,11 +43,11 @@ const STYLE =
 export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" | "keys" | "state">} */ app) {
   /** What the mode does that shows the view. @type {ViewportUser | null} */
   let user = null;
-  const note = h("p", { class: "viewport-note", role: "status", "data-testid": "viewport-note" });
-  const stage = h("div", { class: "viewport-stage", "data-testid": "viewport" }, note);
+  const note = h("p.viewport-note", { role: "status", "data-testid": "viewport-note" });
+  const stage = h("div.viewport-stage", { "data-testid": "viewport" }, note);
   const bar = createViewportBar({ change: () => look(null), look });
-  const element = h("div", { class: "viewport" }, bar.root, stage);
-  const layer = h("div", { class: "viewport-layer", hidden: true }, bar.looks);
+  const element = h("div.viewport", bar.root, stage);
+  const layer = h("div.viewport-layer", { hidden: true }, bar.looks);
   const place = { text: "" };
   /** @type {HTMLIFrameElement | null} */
   let frame = null;

@@ -21,12 +21,12 @@ export function createActions(host, act, teach) {
     /** @type {string} */ key,
     /** @type {string} */ kind = "",
   ) =>
-    button([text, h("kbd", {}, key)], (event) => act[id](event, ""), {
+    button([text, h("kbd", key)], (event) => act[id](event, ""), {
       class: kind,
       title: `${typeof text === "string" ? text : text.textContent} (${key})`,
       "data-testid": `act-${id.split("-")[0]}`,
     });
-  const word = h("span", {}, "Accept");
+  const word = h("span", "Accept");
   const accept = action("accept", word, "Space", "primary");
   const reject = action("reject", "Reject", "X");
   const refit = action("refit", "Fit again", "G");
@@ -40,10 +40,10 @@ export function createActions(host, act, teach) {
   });
   const finalise = button([], (event) => act.finalise(event, ""), { "data-testid": "act-finalise" });
   const gizmo = h(
-    "div",
-    { class: "segments", role: "group", "aria-label": "Gizmo in the 3D view" },
+    "div.segments",
+    { role: "group", "aria-label": "Gizmo in the 3D view" },
     GIZMOS.map(([mode, text, key]) =>
-      button([text, h("kbd", {}, key)], (event) => act[`gizmo-${mode}`](event, ""), {
+      button([text, h("kbd", key)], (event) => act[`gizmo-${mode}`](event, ""), {
         "data-mode": mode,
         title: `Gizmo: ${text.toLowerCase()} (${key})`,
         "data-testid": `gizmo-${mode}`,
@@ -51,7 +51,7 @@ export function createActions(host, act, teach) {
     ),
   );
   const views = [false, true].map((on) =>
-    button(on ? ["Pseudo-views", h("kbd", {}, "D")] : "Along the box", () => teach(on), {
+    button(on ? ["Pseudo-views", h("kbd", "D")] : "Along the box", () => teach(on), {
       title: on
         ? "The views that teach the detectors, with their 2D boxes (D)"
         : "Three views along the box's axes (D)",
@@ -62,12 +62,12 @@ export function createActions(host, act, teach) {
     accept,
     reject,
     remove,
-    h("span", { class: "divider" }),
+    h("span.divider"),
     refit,
     turn,
-    h("span", { class: "divider" }),
-    h("div", { class: "segments", role: "group", "aria-label": "Views of the object" }, views),
-    h("span", { class: "grow" }),
+    h("span.divider"),
+    h("div.segments", { role: "group", "aria-label": "Views of the object" }, views),
+    h("span.grow"),
     draw,
     copy,
     follow,

@@ -209,12 +209,12 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     "next-whole-box": once(() => teach.nextWhole()),
   };
   const actions = createActions(parts.actions, bindings, teach.turn);
-  const topView = button(["Top view", h("kbd", {}, "M")], () => turnMap(true), {
+  const topView = button(["Top view", h("kbd", "M")], () => turnMap(true), {
     class: "quiet small",
     title: "A map: click to place a box, drag to move it (M)",
     "data-testid": "show-map",
   });
-  parts.sceneHead.append(h("h2", {}, "3D view"), actions.gizmo, h("span", { class: "grow" }), topView);
+  parts.sceneHead.append(h("h2", "3D view"), actions.gizmo, h("span.grow"), topView);
 
   // -- showing
 
@@ -420,31 +420,30 @@ export function layout() {
     classes: part("next-class", "Class of the next box"),
     image: part("image", "Camera image"),
     scene: part("scene", "3D view"),
-    sceneHead: h("header", {}),
+    sceneHead: h("header"),
     map: part("scene", "Top view"),
-    actions: h("div", { class: "actions", role: "toolbar", "aria-label": "Actions" }),
-    object: h("div", { class: "object" }),
-    ortho: h("div", { class: "orthos", "data-testid": "orthos" }),
+    actions: h("div.actions", { role: "toolbar", "aria-label": "Actions" }),
+    object: h("div.object"),
+    ortho: h("div.orthos", { "data-testid": "orthos" }),
     fields: part("fields", "Selected box"),
-    track: h("div", { class: "of-track" }),
+    track: h("div.of-track"),
     // in the line of messages
-    problem: h("span", {}),
+    problem: h("span"),
     hint: status("ellipsis", "image-note"),
     saving: status("muted", "saving"),
   };
   parts.scene.append(parts.sceneHead);
   parts.object.append(parts.ortho);
   const root = h(
-    "div",
-    { class: "annotate" },
-    h("h1", { class: "visually-hidden" }, "Annotate"),
-    h("div", { class: "lists" }, parts.queue, parts.boxes, parts.classes),
+    "div.annotate",
+    h("h1.visually-hidden", "Annotate"),
+    h("div.lists", parts.queue, parts.boxes, parts.classes),
     parts.image,
     parts.scene,
     parts.map,
-    h("div", { class: "bar" }, parts.actions),
+    h("div.bar", parts.actions),
     parts.object,
-    h("div", { class: "numbers" }, parts.fields, parts.track),
+    h("div.numbers", parts.fields, parts.track),
   );
   return { ...parts, root };
 }
@@ -458,12 +457,11 @@ export function emptyProject(/** @type {ModeApp} */ app) {
     app.go(location.hash);
   };
   return h(
-    "div",
-    { class: "empty", "data-testid": "no-frames" },
-    h("h2", {}, `${name} has no recording yet`),
+    "div.empty",
+    { "data-testid": "no-frames" },
+    h("h2", `${name} has no recording yet`),
     h(
       "p",
-      {},
       "A recording is a folder or file of images and depth, of point clouds, or of both. Its files stay where they are.",
     ),
     button("Add recordings", add, { class: "primary" }),

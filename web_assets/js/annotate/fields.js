@@ -61,20 +61,15 @@ export function createFields(
   let typed = null;
   /** @type {string | null} */
   let shownUid = null;
-  const title = h("h2", { class: "ellipsis" }, "Box");
-  const chip = h("span", { class: "chip", "data-testid": "label-state" });
-  const facts = h("dl", { class: "facts", "data-testid": "label-facts" });
-  const problem = h("div", {
-    class: "error-box",
-    role: "alert",
-    hidden: true,
-    "data-testid": "not-saved",
-  });
-  const attributes = h("fieldset", { class: "wide", hidden: true, "data-testid": "attributes" });
-  const form = h("form", { class: "box-fields", "data-testid": "fields" });
-  const advice = h("p", {});
-  const nothing = h("div", { class: "empty" }, advice);
-  host.replaceChildren(h("header", {}, title, h("span", { class: "grow" }), chip), problem, form, nothing);
+  const title = h("h2.ellipsis", "Box");
+  const chip = h("span.chip", { "data-testid": "label-state" });
+  const facts = h("dl.facts", { "data-testid": "label-facts" });
+  const problem = h("div.error-box", { role: "alert", hidden: true, "data-testid": "not-saved" });
+  const attributes = h("fieldset.wide", { hidden: true, "data-testid": "attributes" });
+  const form = h("form.box-fields", { "data-testid": "fields" });
+  const advice = h("p");
+  const nothing = h("div.empty", advice);
+  host.replaceChildren(h("header", title, h("span.grow"), chip), problem, form, nothing);
 
   /** @param {typeof NUMBERS[string][number]} one */
   function number([id, name, help, { unit, step, set }]) {
@@ -100,8 +95,8 @@ export function createFields(
       },
     });
     inputs[id] = input;
-    names[id] = h("span", {}, name);
-    return h("label", { class: "number-field" }, names[id], input, h("span", { class: "unit" }, unit));
+    names[id] = h("span", name);
+    return h("label.number-field", names[id], input, h("span.unit", unit));
   }
 
   // Typing changes the box on the screen; leaving the field or pressing Enter saves that as one edit.
@@ -153,12 +148,11 @@ export function createFields(
   /** @type {HTMLElement[]} */
   const ofBox = [
     h(
-      "fieldset",
-      { class: "wide" },
-      h("label", { class: "number-field" }, h("span", {}, "Class"), choice),
-      h("label", { class: "number-field" }, h("span", {}, "Track"), track),
+      "fieldset.wide",
+      h("label.number-field", h("span", "Class"), choice),
+      h("label.number-field", h("span", "Track"), track),
     ),
-    ...Object.entries(NUMBERS).map(([name, all]) => h("fieldset", {}, h("legend", {}, name), all.map(number))),
+    ...Object.entries(NUMBERS).map(([name, all]) => h("fieldset", h("legend", name), all.map(number))),
   ];
   form.append(...ofBox, attributes, facts);
   ofBox.push(facts);
@@ -188,10 +182,9 @@ export function createFields(
     if (!why) return;
     patch(
       problem,
-      h("p", {}, `Not saved. ${why}`),
+      h("p", `Not saved. ${why}`),
       h(
-        "div",
-        { class: "row" },
+        "div.row",
         button("Try again", () => void desk.retry(), { "data-testid": "draft-retry" }),
         button("Discard", () => desk.revert(), { "data-testid": "draft-discard" }),
       ),
@@ -253,7 +246,7 @@ function describe(/** @type {PageLabel} */ label) {
     ],
   ];
   const facts = rows.map(([name, value, help]) =>
-    h("div", { title: `${name}: ${value}, ${help}` }, h("dt", {}, name), h("dd", { class: "number ellipsis" }, value)),
+    h("div", { title: `${name}: ${value}, ${help}` }, h("dt", name), h("dd.number.ellipsis", value)),
   );
   const wide = [];
   if (measured) wide.push(["Measured by", measured]);
@@ -261,7 +254,7 @@ function describe(/** @type {PageLabel} */ label) {
     wide.push(["Suggested by", `${suggestion.detector}${suggestion.corrected ? " (partly drawn or corrected)" : ""}`]);
   if (label.kept) wide.push(["Stays", "until it is reviewed: attributes were set by hand"]);
   if (label.said.length) wide.push(["Said by", label.said.map(words).join(", ")]);
-  return [...facts, ...wide.map(([name, who]) => h("div", { class: "wide" }, h("dt", {}, name), h("dd", {}, who)))];
+  return [...facts, ...wide.map(([name, who]) => h("div.wide", h("dt", name), h("dd", who)))];
 }
 
 /** Whose score a label has: of several sources, that of the shown box. */

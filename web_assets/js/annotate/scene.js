@@ -11,7 +11,7 @@ export function createScene(
   /** @type {Desk} */ desk,
   /** @type {() => Teach} */ teach,
 ) {
-  const body = h("div", { class: "viewport-host" });
+  const body = h("div.viewport-host");
   host.append(body);
   const { viewport } = app;
   /** @type {Api.Gizmo} */
