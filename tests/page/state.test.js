@@ -334,6 +334,26 @@ test("frames to draw on follow one another, and a frame is not its own next one"
   );
 });
 
+test("what was asked of the queue before another choice is not shown", async () => {
+  const answers = [held(), held()];
+  const asked = [];
+  const get = (path) => answers[asked.push(path) - 1].promise;
+  const queue = createQueue(fakeApp({ get }), () => {});
+  const first = queue.load();
+  const chosen = queue.choose({ source: "theirs" });
+  assert.equal(queue.answered, 0);
+  answers[1].resolve({ items: [{ uid: "b" }], remaining: 0 });
+  await chosen;
+  answers[0].resolve({ items: [{ uid: "a" }, { uid: "b" }], remaining: 0 });
+  await first;
+  assert.match(asked[1], /source=theirs/);
+  assert.deepEqual(
+    queue.items.map(({ uid }) => uid),
+    ["b"],
+  );
+  assert.equal(queue.answered, 1);
+});
+
 test("addresses name a project, a mode and a frame", () => {
   const hash = makeHash("a b", "annotate", 3, { uid: "x", empty: null });
   assert.equal(hash, "#/a%20b/annotate/3?uid=x");

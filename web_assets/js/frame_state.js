@@ -88,7 +88,6 @@ export function createFrameState(/** @type {App} */ app) {
       const hadMissed = hasMissed;
       hasMissed = false;
       try {
-        /** @type {FrameState} */
         const frame = await app.api.get(app.path("frames", currentFrame(app).frame.id));
         if (isWelcome()) frames.take(frame);
         else hasMissed ||= hadMissed;

@@ -6,10 +6,11 @@
  * table and never to viser, whose W A S D Q E and arrow keys would move the camera.
  */
 
+import { onTheme, themeNow } from "./colors.js";
 import { h } from "./dom.js";
 import { ApiError } from "./errors.js";
 import { createPace } from "./pace.js";
-import { onTheme, themeNow } from "./theme.js";
+
 import { createViewportBar } from "./viewport_bar.js";
 
 /** @typedef {{ project: string, scene: Scene3D }} Wanted */
@@ -167,7 +168,6 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     if (bench !== null && bench.project !== project) leave();
     if (bench === null) {
       say("opening", "Opening the 3D view …");
-      /** @type {Api.OpenedViewport} */
       const opened = await app.api.post("/api/workbench", { project });
       bench = { project, ...opened };
       return;

@@ -50,11 +50,8 @@ export function createFields(
   });
   const attributes = h("fieldset", { class: "wide", hidden: true, "data-testid": "attributes" });
   const form = h("form", { class: "box-fields", "data-testid": "fields" });
-  const nothing = h(
-    "div",
-    { class: "empty" },
-    h("p", {}, "No box is selected. Press Tab for the next one, or click a box on the image or in the 3D view."),
-  );
+  const advice = h("p", {});
+  const nothing = h("div", { class: "empty" }, advice);
   host.replaceChildren(h("header", {}, title, h("span", { class: "grow" }), chip), problem, form, nothing);
 
   function number(
@@ -229,6 +226,9 @@ export function createFields(
     nothing.hidden = Boolean(label);
     title.textContent = label ? label.label : "Box";
     showProblem();
+    advice.textContent = desk.labels().length
+      ? "No box is selected. Press Tab for the next one, or click a box on the image or in the 3D view."
+      : "No box is here yet. Drag one around an object on the image, and take it with Space.";
     if (!label) return;
     const state = desk.hasDraft ? "not saved" : label.isNew ? "new" : label.state;
     chip.textContent = state;

@@ -142,9 +142,8 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
     if (frame !== null)
       return open(frame, query.get("uid") ?? queue.items.find((item) => item.frame === frame)?.uid ?? null);
     if (queue.items[0]) return go(queue.items[0], true);
-    /** @type {number} */
     const first = await app.api.get(app.path("first-frame"));
-    return go({ frame: first, uid: null });
+    if (first !== null) return go({ frame: first, uid: null });
   }
 
   return {

@@ -54,7 +54,6 @@ export function createPreload(/** @type {App} */ app, /** @type {Desk} */ desk, 
       if (state !== known) keep([state.image.url]);
       if (!box || (ahead && ahead.frame === id && sameBox(ahead.box, box))) return;
       const path = app.path("frames", id, "ortho");
-      /** @type {Api.OrthoView[]} */
       const views = await app.api.post(path, { box, size_px: SIZE_PX }, { signal });
       ahead = { frame: id, box, views };
       keep([state.image.url, ...views.map(({ url }) => url)]);

@@ -1,5 +1,7 @@
 /** The queue of proposals to review, or of frames to draw on: its order, its filter, and the next item. */
 
+import { withQuery } from "../api.js";
+
 export const ORDERS = [
   ["worst", "Most doubtful first"],
   ["time", "In time order"],
@@ -33,16 +35,18 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
   /** Items that were reviewed, for an undo. @type {Map<string | null, QueueItem>} */
   const reviewed = new Map();
   let remaining = 0;
+  /** How often something was chosen, and up to which choice the items are the answer. */
+  let [choices, answered] = [0, 0];
   let place = 0;
   let timer = 0;
   let ended = false;
 
   async function load() {
-    const query = new URLSearchParams({ order, ...(label ? { label } : {}), ...value });
-    if (source) query.set("source", source);
-    /** @type {Api.QueueOut} */
-    const answer = await app.api.get(`${app.path("queue")}?${query}`);
-    if (ended) return;
+    const query = { order, ...(label ? { label } : {}), ...value, ...(source ? { source } : {}) };
+    const own = choices;
+    const answer = await app.api.get(withQuery(app.path("queue"), query));
+    if (ended || own !== choices) return;
+    answered = own;
     items = answer.items;
     const hasMore = answer.remaining > remaining;
     remaining = answer.remaining;
@@ -62,6 +66,10 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
     load,
     get items() {
       return items;
+    },
+    /** Another number where the items are those of another choice. */
+    get answered() {
+      return answered;
     },
     get remaining() {
       return remaining;
@@ -88,6 +96,7 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
       source = changes.source ?? source;
       localStorage.setItem("queue-order", order);
       place = 0;
+      choices += 1;
       reviewed.clear();
       await load();
     },

@@ -56,6 +56,7 @@ export function createQueueList(
    * @type {QueueItem[]}
    */
   let standing = [];
+  let answered = 0;
   fill();
   order.value = queue.order;
   host.replaceChildren(
@@ -80,7 +81,6 @@ export function createQueueList(
   ) {
     // so that Space and the digits are keys of the mode again
     select?.blur();
-    standing = [];
     queue.choose(changes).then(() => queue.items[0] && go(queue.items[0]), app.toast);
   }
 
@@ -132,6 +132,8 @@ export function createQueueList(
       const frame = app.state.frame?.frame.id;
       const isShown = (/** @type {QueueItem} */ item) => (item.uid === null ? item.frame === frame : item.uid === uid);
       const open = new Map(queue.items.map((item) => [keyOf(item), item]));
+      if (answered !== queue.answered) standing = [];
+      answered = queue.answered;
       const known = new Set(standing.map(keyOf));
       const fresh = queue.items.filter((item) => !known.has(keyOf(item)));
       const isGoingOn = standing.some((item) => open.has(keyOf(item)));

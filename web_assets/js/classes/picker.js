@@ -18,7 +18,6 @@ export function matching(/** @type {string[]} */ names, /** @type {string} */ ty
 
 /** The project's classes, those with most boxes first. */
 async function byUse(/** @type {ModeApp} */ app) {
-  /** @type {Api.ClassList} */
   const { classes } = await app.api.get(app.path("classes"));
   return classes.sort((a, b) => b.labels + b.boxes_2d - a.labels - a.boxes_2d).map(({ name }) => name);
 }
@@ -73,9 +72,9 @@ export async function askClass(/** @type {ModeApp} */ app) {
   });
 }
 
-/** Buttons for the classes; the digit keys do the same. The last two show all of many, and change them. */
+/** Buttons for the classes; the digit keys do the same. Two tools show all of many, and change them. */
 export function createClassPicker(/** @type {ModeApp} */ app, /** @type {(name: string) => void} */ onPick) {
-  const root = h("div.classes", { role: "radiogroup", "aria-label": "Class" });
+  const root = h("div.class-picker", { role: "radiogroup", "aria-label": "Class" });
   const more = button([], () => void ask(), { "data-testid": "all-classes", title: "Choose from all classes (/)" });
   const change = () => editClasses(app, app.state.project.name);
   const edit = iconButton("edit", "Change the classes and attributes", change, { "data-testid": "edit-classes" });
@@ -113,5 +112,5 @@ export function createClassPicker(/** @type {ModeApp} */ app, /** @type {(name: 
     patch(more, `+ ${classes.length - shown.length}`, h("kbd", "/"));
   }
 
-  return { root: h("div.row.class-picker", root, more, edit), show, ask };
+  return { root, tools: [more, edit], show, ask };
 }
