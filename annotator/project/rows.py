@@ -54,6 +54,7 @@ class Terms:
         ids: by name, first those of the project's classes.
         classes: the names of the project's classes, in order.
         key: the names, for caches.
+        of_tracks: the values of tracks that are known, by rig and track.
     """
 
     def __init__(self, connection: Connection) -> None:
@@ -69,6 +70,7 @@ class Terms:
         self._are_same = not self._corrections and self._driver.execute(shared).fetchone() is None
         self._of_frames: dict[int | None, Place] = {}
         self._last_label: int | None = None
+        self.of_tracks: dict[tuple[int, int], dict[str, AttributeValue]] = {}
 
     # --- classes ------------------------------------------------------------------------------------------------------
 

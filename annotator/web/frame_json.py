@@ -83,7 +83,7 @@ class InFrame(InProject):
         """The present state of the frame for the operator's page.
 
         Args:
-            best_for: uid of a label; if another camera of the moment sees it much better, the state is that of its frame.
+            best_for: uid of a label; if another camera of the moment sees it much better, the state of its frame.
         """
         with self.project.store.snapshot():
             state = _state(self)

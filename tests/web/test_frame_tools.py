@@ -292,7 +292,9 @@ def test_a_camera_whose_folder_is_gone_does_not_hide_the_frame(rig_live: Live, t
     assert {one.path for one in stored} == {(tmp_path / "clouds" / "moved").resolve()}
 
 
-def test_a_page_shows_the_labels_of_its_moment_and_who_sees_them_best_and_hears_of_changes_in_another(rig_live: Live) -> None:
+def test_a_page_shows_the_labels_of_its_moment_and_who_sees_them_best_and_hears_of_changes_in_another(
+    rig_live: Live,
+) -> None:
     add_all(rig_live, camera="all")
     rig_project = rig_live.context.project("room")
     with rig_live.listen() as page:

@@ -2,7 +2,7 @@
 
 import { h } from "./dom.js";
 import { messageOf } from "./errors.js";
-import { onTheme } from "./theme.js";
+import { onTheme } from "./colors.js";
 
 const SCRIPT = "/assets/vendor/plotly.min.js";
 

@@ -47,3 +47,30 @@ export function isDark(color) {
   const [red, green, blue] = [1, 3, 5].map((at) => Number.parseInt(color.slice(at, at + 2), 16));
   return 0.299 * red + 0.587 * green + 0.114 * blue < 110;
 }
+
+/**
+ * Calls a function when the page gets other colours: by its switch, or because the system has turned dark or light.
+ *
+ * @returns {() => void} ends that.
+ */
+export function onTheme(/** @type {() => void} */ fn) {
+  const watcher = new MutationObserver(fn);
+  watcher.observe(document.documentElement, { attributeFilter: ["data-theme"] });
+  const scheme = matchMedia("(prefers-color-scheme: dark)");
+  scheme.addEventListener("change", fn);
+  return () => {
+    watcher.disconnect();
+    scheme.removeEventListener("change", fn);
+  };
+}
+
+/**
+ * The theme that is shown.
+ *
+ * @returns {Api.Theme}
+ */
+export function themeNow() {
+  const { theme = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light" } =
+    document.documentElement.dataset;
+  return theme === "light" ? "light" : "dark";
+}

@@ -163,8 +163,8 @@ SourceName = Annotated[str, Query(min_length=1, max_length=MOST_NAME)]
 
 
 class ItemJson(Schema):
-    """A proposal to review, or (uid null) a frame to draw on; `sources` are all that see the object, `heading` is a unit
-    vector in the frame of its camera."""
+    """A proposal to review, or (uid null) a frame to draw on; `sources` are all that see the object, `heading` is a
+    unit vector in the frame of its camera."""
 
     frame: int
     key: str

@@ -76,6 +76,7 @@ class SceneContent:
         hide_ground, most_height_m: leave out points of the ground, and those higher above it.
         only_selected: leave out other boxes, and points that are not near the selected one.
         look: moves the viewer.
+        ground: below the frame's points; None = to be found.
     """
 
     key: tuple[str, int] | None
@@ -92,6 +93,7 @@ class SceneContent:
     only_selected: bool = False
     look: Look | None = None
     theme: Theme = Theme.DARK
+    ground: Ground | None = None
 
     @property
     def palette(self) -> Palette:

@@ -43,10 +43,13 @@ AXIS_COLOR = (255, 59, 48)
 HAIR_PX, THIN_PX, THICK_PX = 1.0, 1.6, 4.0
 # Opacity of a pseudo-view's empty pixels, 0..255.
 EMPTY_ALPHA = 90
+# Farther than any viewer sees, metres.
+FAR_M = 1e9
 # Size of the gizmo, as a share of the selected box's longest side, and its minimum, metres.
 GIZMO_SHARE, GIZMO_LEAST_M = 0.75, 0.08
 
-CLOUD, GUIDES, BOXES, SELECTED, SELECTED_LINES = "/cloud", "/guides", "/boxes", "/selected", "/selected/lines"
+CLOUD, SHADER, GUIDES, BOXES = "/cloud", "/shader", "/guides", "/boxes"
+SELECTED, SELECTED_LINES = "/selected", "/selected/lines"
 FRUSTUM, DRAFT_BOX, AXES = "/draft/frustum", "/draft/box", "/draft/axes"
 
 
@@ -65,6 +68,8 @@ class Scene:
         self._api.configure_environment_map(None)
         self._api.world_axes.visible = False
         self._gizmo: viser.TransformControlsHandle | None = None
+        # A cloud that is never seen. With each new cloud, the browser makes its shader anew unless another one uses it.
+        self._cloud(SHADER, np.full((2, 3), FAR_M, np.float32), np.zeros((2, 3), np.uint8), 0.0)
 
     @property
     def gizmo(self) -> viser.TransformControlsHandle:
@@ -88,7 +93,7 @@ class Scene:
             if is_new_theme:
                 configure_theme(self._server, content.theme)
             if content.frame is not before.frame and content.frame is not None:
-                self._ground = find_ground(content.frame.cloud.xyz_m, scene_up(content.frame))
+                self._ground = content.ground or find_ground(content.frame.cloud.xyz_m, scene_up(content.frame))
                 if content.key != before.key:
                     self._reach_m = scene_reach_m(content.frame)
             if content.frame is not None and (content.frame is not before.frame or is_new_theme):
@@ -122,15 +127,7 @@ class Scene:
                 self._remove(CLOUD)
                 return 0, len(frame.cloud)
             self._point_size_m = point_size_m(frame, len(points) / max(len(wanted), 1))
-            self._api.add_point_cloud(
-                CLOUD,
-                points.xyz_m,
-                self._point_colors(),
-                point_size=self._point_size_m * content.point_size,
-                point_shape="square",
-                point_shading="flat",
-                precision="float32",
-            )
+            self._cloud(CLOUD, points.xyz_m, self._point_colors(), self._point_size_m * content.point_size)
         elif len(self._points):
             cloud: Any = self._api.get_handle_by_name(CLOUD)
             if content.colors_key != before.colors_key:
@@ -141,6 +138,17 @@ class Scene:
     def _point_colors(self) -> UInt8[np.ndarray, "n 3"]:
         content = self.content
         return point_colors(self._points, content.color, self._ground, content.palette, content.boxes)
+
+    def _cloud(self, name: str, xyz_m: np.ndarray, colors: UInt8[np.ndarray, "n 3"], size_m: float) -> None:
+        self._api.add_point_cloud(
+            name,
+            xyz_m,
+            colors,
+            point_size=size_m,
+            point_shape="square",
+            point_shading="flat",
+            precision="float32",
+        )
 
     # --- boxes -----------------------------------------------------------------------------------------------------
 
@@ -177,7 +185,9 @@ class Scene:
         selected, gizmo = self.content.selected_box, self.gizmo
         assert selected is not None
         color = _light(_selected(selected.color or self.content.palette.states[selected.state], self.content.palette))
-        self._lines(SELECTED_LINES, box_lines(box.size_m), color, THICK_PX)
+        lines = box_lines(box.size_m)
+        # a colour for each end, as all lines have, so that they share a shader
+        self._lines(SELECTED_LINES, lines, np.broadcast_to(color, lines.shape), THICK_PX)
         gizmo.scale = max(GIZMO_SHARE * float(box.size_m.max()), GIZMO_LEAST_M)
         gizmo.position = box.center_m
         gizmo.wxyz = box.T_camera_box.rotation.as_quat(scalar_first=True)

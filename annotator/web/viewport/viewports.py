@@ -348,6 +348,7 @@ def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> S
         only_selected=body.only_selected,
         look=body.look,
         theme=body.theme,
+        ground=opened.ground,
     )
 
 

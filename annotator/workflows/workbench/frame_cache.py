@@ -14,8 +14,10 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Int64
 
+from annotator.geometry.ground import Ground, find_ground
 from annotator.geometry.normals import normals_from_depth
 from annotator.geometry.oriented_box import contains
+from annotator.geometry.transforms import IMAGE_UP
 from annotator.image_bytes import encoded_image
 from annotator.project import Project, StoredFrame
 from annotator.project.overview import neighbours
@@ -73,7 +75,7 @@ class OpenFrame:
     def __init__(self, frame: Frame, adjusted: int = 0) -> None:
         self.frame = frame
         self.adjusted = adjusted
-        self._whole, self._results = Memo(2), Memo(MAX_RESULTS)
+        self._whole, self._results = Memo(3), Memo(MAX_RESULTS)
         self._counts: dict[bytes, int] = {}
 
     @property
@@ -92,6 +94,12 @@ class OpenFrame:
     def with_normals(self) -> Frame:
         """The frame with normals from its depth image; unchanged if it has normals already or no depth image."""
         return self._whole.get("normals", lambda: _with_normals(self.frame))
+
+    @property
+    def ground(self) -> Ground:
+        """The ground below its points."""
+        up = IMAGE_UP if self.frame.up is None else self.frame.up
+        return self._whole.get("ground", lambda: find_ground(self.frame.cloud.xyz_m, up))
 
     def inside(self, box: OrientedBox) -> Int64[np.ndarray, "m"]:
         """Returns the indices of the points in a box."""
@@ -318,6 +326,6 @@ class FrameCache:
 
     def _prepare_neighbour(self, project: Project, frame_id: int) -> None:
         opened = self._open(project, project.frames.get(frame_id))
-        _ = opened.jpeg
+        _ = opened.jpeg, opened.ground
         for label in project.labels.of_frame(frame_id):
             opened.points_in(label.box)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from bag_writer import START_NS, BagWriter, write_camera, write_mount, write_scan
-from browser_page import label_truth
+from browser_page import drag, label_truth
 from room_api import label_object
 
 from annotator.project import Project, WriteContext, create_project
@@ -311,6 +311,30 @@ def test_virtual_cameras_share_a_label_and_topics_of_a_bag_are_chosen_with_a_pre
     expect(start).to_have_url(re.compile("/annotate/2$"))
     expect(selected).to_have_attribute("data-uid", uid)
     expect(cameras.first).to_have_attribute("aria-current", "true")
+    # from a camera that does not see it, a double click and a key lead to the one that sees it best
+    for go in (lambda: start.get_by_test_id("frame-box").dblclick(), lambda: start.keyboard.press("k")):
+        cameras.last.click()
+        expect(start).to_have_url(re.compile("/annotate/5$"))
+        expect(start.get_by_test_id("image-note")).to_contain_text("K goes there")
+        go()
+        expect(start).to_have_url(re.compile("/annotate/[23]$"))
+        expect(selected).to_have_attribute("data-uid", uid)
+    # the places have the sizes that they were given, and the next area has the main one
+    border = start.get_by_test_id("border-first")
+    width_of = "(selector) => document.querySelector(selector).getBoundingClientRect().width"
+    width = start.evaluate(width_of, "section.image")
+    place = border.evaluate("(one) => one.getBoundingClientRect().toJSON()")
+    drag(start, (place["x"] + 4, place["y"] + 9), (place["x"] - 56, place["y"] + 9))
+    assert start.evaluate(width_of, "section.image") == pytest.approx(width - 60, abs=1)
+    border.dblclick()
+    assert start.evaluate(width_of, "section.image") == width
+    start.keyboard.press("q")
+    start.reload()
+    start.get_by_test_id("frame-box").wait_for()
+    assert start.evaluate(width_of, "section.scene:not([hidden])") == width
+    start.keyboard.press("q")
+    start.keyboard.press("q")
+    assert start.evaluate(width_of, "section.image") == width
     start.goto("/#/rig/alignment/3")
     expect(start.get_by_test_id("correction-effect")).to_contain_text("no calibration to correct")
     expect(start.get_by_test_id("keep-correction")).to_be_hidden()

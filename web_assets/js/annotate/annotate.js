@@ -61,9 +61,9 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     queue,
     onLoading() {
       showBusy();
-      showActions();
+      if (opening.loading) showActions();
+      else showAll();
     },
-    onOpened: showAll,
     onProblem(error, frame) {
       scene.fail(frame);
       if (error === null) problem.hide();
@@ -205,6 +205,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   /** The object that is drawn has changed. */
   function showDrawn() {
     showBusy();
+    if (opening.loading) return;
     image.show();
     boxList.show();
     showActions();
@@ -230,6 +231,8 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   }
 
   function showAll() {
+    // the next frame is shown once, when its box is selected
+    if (opening.loading) return;
     const picture = app.state.frame?.image;
     parts.root.classList.toggle("wide", picture !== undefined && picture.width > WIDE_ASPECT * picture.height);
     image.show();
@@ -241,8 +244,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     const track = desk.stored()?.track_id ?? null;
     if (track !== app.state.track) app.state.set({ track });
     showQueue();
-    // not the old frame again while the next one is being opened
-    if (!opening.loading) scene.show();
+    scene.show();
     map.show();
     void ortho.show();
   }

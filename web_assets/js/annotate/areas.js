@@ -56,7 +56,8 @@ export function createAreas(/** @type {HTMLElement} */ root) {
     function move(/** @type {number[]} */ sizes, /** @type {number} */ byPx) {
       const room = others.reduce((sum, other) => sum + sizes[other] - LEAST_PX[axis], 0);
       const size = Math.min(Math.max(sizes[track] + side * byPx, LEAST_PX[axis]), sizes[track] + room);
-      kept[name] = `${((100 * size) / (axis === "x" ? root.clientWidth : root.clientHeight)).toFixed(2)}%`;
+      const whole = axis === "x" ? root.clientWidth : root.clientHeight;
+      kept[name] = `${((100 * size) / (whole - 2 * Number.parseFloat(getComputedStyle(root).padding))).toFixed(2)}%`;
       handle.setAttribute("aria-valuenow", String(Math.round(Number.parseFloat(kept[name]))));
       show();
     }

@@ -72,9 +72,11 @@ export function createDesk(/** @type {App} */ app) {
    * Sends a change of the open frame for which the operator need not choose between two versions. If others have changed
    * the frame in the meantime, theirs is shown, and the change is refused, or sent again.
    *
-   * @param {string} what
+   * @template {string} What
+   * @param {What} what
    * @param {() => object} body
    * @param {boolean} [isSentAgain]
+   * @returns {Promise<Answer<"POST", ProjectPath<["frames", number, What]>>>}
    */
   function change(what, body, isSentAgain = false) {
     const { id } = currentFrame(app).frame;
@@ -114,7 +116,6 @@ export function createDesk(/** @type {App} */ app) {
   ) {
     const body = { revision: currentFrame(app).frame.revision, changes, subject };
     try {
-      /** @type {Api.ChangedJson} */
       const { moved, ...state } = await app.api.change(app.path("frames", id, "changes"), body);
       app.frames.take(state);
       if (moved > 0) app.toast(`${count(moved, "unreviewed box", "unreviewed boxes")} of the track moved along.`);

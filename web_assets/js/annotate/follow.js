@@ -51,7 +51,6 @@ export function createFollow(host, app, desk, { open, onFirst }) {
   async function load() {
     const before = run;
     try {
-      /** @type {Api.FollowRunJson | null} */
       const answer = await app.api.get(app.path("follow"));
       if (answer) {
         take(answer);
@@ -135,7 +134,6 @@ export function createFollow(host, app, desk, { open, onFirst }) {
     const own = { frame: id, number: /** @type {number | null} */ (null) };
     begun = own;
     try {
-      /** @type {Api.FollowRunJson} */
       const answer = await desk.change("follow", () => ({ uid, direction }));
       own.number = answer.number;
       take(answer);

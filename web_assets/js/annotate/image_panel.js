@@ -80,7 +80,6 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     newLabel: () => chosen ?? wanted ?? nextClass(),
     onDrag: ({ length }, index) => onDrag(length > items.length && index >= items.length),
     onOverlay: (uid) => (uid === "whole" ? teach().accept() : desk.select(uid)),
-    onEnter: () => false,
     onSelect(index) {
       if (index < 0) teach().release();
       else if (items[index] && !isDashed(index)) teach().open(items[index]);

@@ -7,18 +7,19 @@ import { isOpen } from "./desk.js";
 
 /** The frame that was taken from the queue last, with its project; it stays so when the page is loaded again. */
 const FROM_QUEUE = "frame-from-queue";
+/** What is not looked at comes so long after a frame was opened, ms. */
+export const REST_MS = 300;
 
 /**
  * @param {ModeApp} app
  * @param {object} parts
  * @param {Desk} parts.desk
  * @param {Queue} parts.queue
- * @param {() => void} parts.onLoading called when opening a frame begins or ends.
- * @param {() => void} parts.onOpened called when a frame was opened, or cannot be read.
+ * @param {() => void} parts.onLoading called when opening a frame begins or ends, also if it cannot be read.
  * @param {(error: unknown, frame: number | null) => void} parts.onProblem called with the reason why a frame cannot be
  *     read, or with null.
  */
-export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem }) {
+export function createOpening(app, { desk, queue, onLoading, onProblem }) {
   const { project } = app.state.route;
   let loading = false;
   let openings = 0;
@@ -68,14 +69,13 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
         showProblem(null);
       }
       pick(uid, track);
+      // one that was read ahead is read again, when it is shown
+      setTimeout(() => own === openings && desk.refresh().catch(app.toast), REST_MS);
     } catch (error) {
       if (own !== openings || isAborted(error)) return null;
       showProblem(error, id);
     } finally {
-      if (own === openings) {
-        setLoading(false);
-        onOpened();
-      }
+      if (own === openings) setLoading(false);
     }
     return true;
   }
@@ -142,9 +142,8 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
     if (frame !== null)
       return open(frame, query.get("uid") ?? queue.items.find((item) => item.frame === frame)?.uid ?? null);
     if (queue.items[0]) return go(queue.items[0], true);
-    /** @type {number} */
     const first = await app.api.get(app.path("first-frame"));
-    return go({ frame: first, uid: null });
+    if (first !== null) return go({ frame: first, uid: null });
   }
 
   return {

@@ -9,6 +9,7 @@ import { isOpen } from "./desk.js";
 import { shortName } from "./drawing.js";
 import { summary } from "./fields.js";
 import { DRAGS, progressOf } from "./items.js";
+import { REST_MS } from "./opening.js";
 import { ORDERS, OWN } from "./queue.js";
 import { makeHash } from "../router.js";
 import { createValueFilter, refill } from "./value_filter.js";
@@ -55,6 +56,7 @@ export function createQueueList(
    * @type {QueueItem[]}
    */
   let standing = [];
+  let answered = 0;
   fill();
   order.value = queue.order;
   host.replaceChildren(
@@ -79,7 +81,6 @@ export function createQueueList(
   ) {
     // so that Space and the digits are keys of the mode again
     select?.blur();
-    standing = [];
     queue.choose(changes).then(() => queue.items[0] && go(queue.items[0]), app.toast);
   }
 
@@ -131,6 +132,8 @@ export function createQueueList(
       const frame = app.state.frame?.frame.id;
       const isShown = (/** @type {QueueItem} */ item) => (item.uid === null ? item.frame === frame : item.uid === uid);
       const open = new Map(queue.items.map((item) => [keyOf(item), item]));
+      if (answered !== queue.answered) standing = [];
+      answered = queue.answered;
       const known = new Set(standing.map(keyOf));
       const fresh = queue.items.filter((item) => !known.has(keyOf(item)));
       const isGoingOn = standing.some((item) => open.has(keyOf(item)));
@@ -255,6 +258,8 @@ export function createBoxList(
     const take = (/** @type {Api.TileJson} */ { uid, png }) =>
       png && pictures.set(uid, `data:image/png;base64,${png}`);
     try {
+      await new Promise((resolve) => setTimeout(resolve, REST_MS));
+      if (signal.aborted) return;
       await app.api.lines(app.path("frames", frame.id, "sheet"), take, { signal });
       if (!signal.aborted) draw();
     } catch (error) {

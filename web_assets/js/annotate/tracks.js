@@ -148,7 +148,6 @@ export function createTracks(
       return app.toast("This box has no track yet. Type a number in its field Track.", "warn");
     try {
       const index = currentFrame(app).frame.index ?? 0;
-      /** @type {Api.TrackBox[]} */
       const boxes = await app.api.get(path(label.track_id));
       const others = boxes.filter(
         (box) => box.index !== null && box.state !== "rejected" && (by > 0 ? box.index > index : box.index < index),
@@ -167,7 +166,6 @@ export function createTracks(
     if (!label || label.isNew) return;
     await desk.flush();
     try {
-      /** @type {Api.CopyNextOut} */
       const done = await desk.change("copy-next", () => ({ uid: label.uid }));
       await open(done);
       const copies = desk.labels().filter(({ uid }) => uid === done.uid);
@@ -208,7 +206,6 @@ export function createTracks(
       const own = asked;
       told = null;
       try {
-        /** @type {Api.OperationOut} */
         const answer = await app.api.post(path(track ?? 0), body());
         if (own === asked) {
           [told, note.textContent] = [answer, `This ${answer.words}.`];

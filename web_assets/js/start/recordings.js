@@ -1,6 +1,6 @@
 /** The dialogs that add recordings to a project, and that point to a moved recording. */
 
-import { newest, projectPath } from "../api.js";
+import { newest, projectPath, withQuery } from "../api.js";
 import { CANCEL, confirm, openDialog } from "../dialogs.js";
 import { bullets, button, count, glyph, h, patch } from "../dom.js";
 import { ApiError, messageOf } from "../errors.js";
@@ -67,7 +67,6 @@ export function addRecordings(/** @type {App} */ app, /** @type {string} */ proj
       done.append(leave);
     };
     try {
-      /** @type {Api.AddedRecordings} */
       const { added, job, note } = await app.api.post(projectPath(project, "recordings"), {
         path: entry.path,
         labels: labels.checked,
@@ -105,7 +104,7 @@ export function addRecordings(/** @type {App} */ app, /** @type {string} */ proj
     }
   }
 
-  const closed = openDialog({
+  return openDialog({
     title: `Add recordings to ${project}`,
     testid: "add-recording-dialog",
     wide: true,
@@ -117,8 +116,6 @@ export function addRecordings(/** @type {App} */ app, /** @type {string} */ proj
     ],
     actions: [{ label: "Done", value: "done" }],
   });
-  void folders.show("");
-  return closed;
 }
 
 /** Offers to set the new path of a recording of the project that is found elsewhere. */
@@ -172,7 +169,7 @@ export function locateRecording(
       status.textContent = `Chosen: ${entry.path}`;
     },
   });
-  const closed = openDialog({
+  return openDialog({
     title: `Find ${name}`,
     testid: "locate-dialog",
     wide: true,
@@ -190,8 +187,6 @@ export function locateRecording(
       return app.api.patch(projectPath(project, "recordings", id), { path: chosen });
     },
   });
-  void folders.show("");
-  return closed;
 }
 
 // -- the dialog with all recordings of a project
@@ -247,12 +242,13 @@ export async function manageRecordings(/** @type {App} */ app, /** @type {string
 // -- a browser of the server's folders
 
 /**
+ * Shows the server's folders, and then what is in those that are opened.
+ *
  * @param {App} app
- * @param {Picker} options
- * @returns {{nodes: Node[], list: HTMLElement, show: (path: string) => Promise<void>}} the elements, that with the
- *     folders, and the function that opens a folder; "" lists the server's folders.
+ * @param {Picker} picker
+ * @returns {{nodes: Node[], list: HTMLElement}} the elements, and that with the folders.
  */
-export function createFolders(app, options) {
+function createFolders(app, { text, testid, onPick }) {
   const crumbs = h("nav.crumbs.grow", { "aria-label": "Folder" });
   /** @type {HTMLInputElement} */
   const typed = h("input", {
@@ -271,77 +267,55 @@ export function createFolders(app, options) {
   const list = h("ul.folders", { "data-testid": "folders", tabindex: -1 });
   const begin = newest();
 
+  /** Opens a folder; "": the list of the server's folders. */
   async function show(/** @type {string} */ wanted) {
     const isNewest = begin();
     const before = typed.value;
     try {
-      /** @type {Api.FolderListing} */
-      const { path, here, entries, notes, kinds } = await app.api.get(
-        `/api/folders?path=${encodeURIComponent(wanted)}`,
-      );
+      const answer = await app.api.get(withQuery("/api/folders", { path: wanted }));
       if (!isNewest()) return;
+      const { path, here, entries } = answer;
       // what is typed meanwhile stays
       if (typed.value === before) typed.value = path;
-      crumbs.replaceChildren(...makeCrumbs(path, show));
-      const all = here ? [{ ...here, is_folder: false }, ...entries] : entries;
-      list.replaceChildren(
-        ...all.map((entry) => makeEntry(entry, show, options)),
-        ...explain(path, all.length > 0, notes, kinds),
+      const parts = path ? path.split("/") : [];
+      crumbs.replaceChildren(
+        crumb("Folders", ""),
+        ...parts.flatMap((part, i) => [h("span.muted", "/"), crumb(part, parts.slice(0, i + 1).join("/"))]),
       );
+      const all = here ? [{ ...here, is_folder: false }, ...entries] : entries;
+      list.replaceChildren(...all.map(row), ...explained(answer, all.length > 0));
       if (document.activeElement !== typed) list.focus();
     } catch (error) {
       if (isNewest()) list.replaceChildren(h("li.error-box", { role: "alert" }, messageOf(error)));
     }
   }
 
-  return { nodes: [h("div.row", crumbs, typed), list], list, show };
+  const crumb = (/** @type {string} */ name, /** @type {string} */ path) =>
+    button(name, () => show(path), { class: "quiet" });
+
+  function row(/** @type {Api.FolderEntry} */ entry) {
+    const name = h("span.grow.ellipsis", { title: entry.name }, entry.name);
+    const look = { class: "quiet entry", "data-testid": `folder-${entry.name}` };
+    const open = button([glyph("folder"), name], () => show(entry.path), look);
+    if (entry.recording === null) return h("li", open);
+    const more = { class: "primary", "data-testid": `${testid}-${entry.name}` };
+    /** @type {HTMLButtonElement} */
+    const pick = button(text, () => onPick(entry, pick), more);
+    const format = h("span.chip.format", entry.recording.replaceAll("_", " "));
+    return h("li.entry.recording", entry.is_folder ? open : name, format, pick);
+  }
+
+  void show("");
+  return { nodes: [h("div.row", crumbs, typed), list], list };
 }
 
 /** What is not listed, and what to look for where there is no recording. */
-function explain(
-  /** @type {string} */ path,
-  /** @type {boolean} */ hasAny,
-  /** @type {string[]} */ notes,
-  /** @type {string[]} */ kinds,
-) {
-  /** @type {HTMLElement[]} */
-  const lines = notes.map((text) => h("p", `${text[0].toUpperCase()}${text.slice(1)}.`));
+function explained(/** @type {Api.FolderListing} */ { path, notes, kinds }, /** @type {boolean} */ hasAny) {
+  const lines = notes.map((text) => `${text[0].toUpperCase()}${text.slice(1)}.`);
   if (!hasAny && !notes.length)
-    lines.push(
-      h("p", path ? "This folder is empty." : "This server offers no folder. Whoever runs it can offer some."),
-    );
-  if (kinds.length)
-    lines.push(h("details", { open: !hasAny }, h("summary", "What a recording must have"), bullets(kinds)));
-  return lines.length ? [h("li.help", { "data-testid": "folder-notes" }, lines)] : [];
-}
-
-function makeCrumbs(/** @type {string} */ path, /** @type {(path: string) => void} */ show) {
-  const parts = path ? path.split("/") : [];
-  const step = (/** @type {string} */ text, /** @type {string} */ target) =>
-    button(text, () => show(target), { class: "quiet" });
-  return [
-    step("Folders", ""),
-    ...parts.flatMap((part, i) => [h("span.muted", "/"), step(part, parts.slice(0, i + 1).join("/"))]),
-  ];
-}
-
-function makeEntry(
-  /** @type {Api.FolderEntry} */ entry,
-  /** @type {(path: string) => void} */ show,
-  /** @type {Picker} */ { text, testid, onPick },
-) {
-  const name = h("span.grow.ellipsis", { title: entry.name }, entry.name);
-  const openButton = button([glyph("folder"), name], () => show(entry.path), {
-    class: "quiet entry",
-    "data-testid": `folder-${entry.name}`,
-  });
-  if (entry.recording === null) return h("li", openButton);
-  /** @type {HTMLButtonElement} */
-  const pick = button(text, () => onPick(entry, pick), { class: "primary", "data-testid": `${testid}-${entry.name}` });
-  return h(
-    "li.entry.recording",
-    entry.is_folder ? openButton : name,
-    h("span.chip.format", entry.recording.replaceAll("_", " ")),
-    pick,
-  );
+    lines.push(path ? "This folder is empty." : "This server offers no folder. Whoever runs it can offer some.");
+  const about = h("details", { open: !hasAny }, h("summary", "What a recording must have"), bullets(kinds));
+  const texts = lines.map((text) => h("p", text));
+  if (!texts.length && !kinds.length) return [];
+  return [h("li.help", { "data-testid": "folder-notes" }, texts, kinds.length > 0 && about)];
 }

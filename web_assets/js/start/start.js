@@ -61,12 +61,12 @@ export function mount(root, app, until) {
   }
 
   async function makeSample() {
-    /** @type {Api.Sample} */
     const { name, job } = await app.api.post("/api/sample-project");
     if (!job) return open(name);
     sample = job.id;
     takeJob(app, job);
-    await refresh();
+    // it may be made already
+    if (!openSample()) await refresh();
   }
 
   function open(/** @type {string} */ name) {
@@ -85,11 +85,11 @@ export function mount(root, app, until) {
     const project = await createProject(app);
     if (!project) return;
     await refresh();
-    await then(addRecordings(app, project.name));
+    await andRefresh(addRecordings(app, project.name));
   }
 
   /** Shows the projects again after what was done with one of them, also if that failed. */
-  const then = (/** @type {Promise<unknown>} */ done) => done.finally(refresh);
+  const andRefresh = (/** @type {Promise<unknown>} */ done) => done.finally(refresh);
 
   function begun(/** @type {Api.Job} */ job) {
     started.add(job.id);
@@ -103,17 +103,16 @@ export function mount(root, app, until) {
 
   /** @type {CardActions} */
   const actions = {
-    add: (name) => then(addRecordings(app, name)),
-    addBoxes: (name) => then(addBoxes(name)),
-    locate: (name, recording) => then(locateRecording(app, name, recording)),
-    change: (name) => then(editClasses(app, name)),
+    add: (name) => andRefresh(addRecordings(app, name)),
+    addBoxes: (name) => andRefresh(addBoxes(name)),
+    locate: (name, recording) => andRefresh(locateRecording(app, name, recording)),
+    change: (name) => andRefresh(editClasses(app, name)),
   };
 
   async function refresh() {
     // signed out: the page is loaded again after the next sign-in
     if (!app.state.operator) return;
     try {
-      /** @type {Api.ProjectSummary[]} */
       const projects = await app.api.get("/api/projects");
       await removed.load();
       const menu = list.querySelector(":popover-open");
@@ -194,18 +193,18 @@ function card(
   const isEmpty = project.recordings === 0;
   const next = nextStep(project);
   const others = project.classes.slice(NAMED);
-  const done = `${project.frames_done.toLocaleString("en")} of ${count(project.frames, "frame")} done`;
   const addButton = button([glyph("plus"), "Recording"], () => add(name), {
     class: isEmpty ? "primary" : "",
     "data-testid": `add-recording-${name}`,
   });
+  const done = `${project.frames_done.toLocaleString("en")} of ${count(project.frames, "frame")} done`;
   const content = problem
     ? [h("p.error-box", problem)]
     : [
         h(
           "p.classes",
           project.classes.slice(0, NAMED).map((label) => h("span.chip", label)),
-          others.length ? h("span.chip", { title: others.join(", ") }, `+ ${others.length}`) : null,
+          others.length > 0 && h("span.chip", { title: others.join(", ") }, `+ ${others.length}`),
           iconButton("edit", `Change the classes and attributes of ${name}`, () => change(name), {
             "data-testid": `edit-classes-${name}`,
           }),
@@ -214,10 +213,9 @@ function card(
           "p.number.muted",
           isEmpty ? "No recording yet: add one to begin." : `${count(project.recordings, "recording")}, ${done}`,
         ),
-        isEmpty
-          ? ""
-          : h("progress", { max: project.frames || 1, value: project.frames_done, "aria-label": done, title: done }),
-        isEmpty ? "" : h("p.number.states", stateCounts(project.labels_by_state)),
+        !isEmpty &&
+          h("progress", { max: project.frames || 1, value: project.frames_done, "aria-label": done, title: done }),
+        !isEmpty && h("p.number.states", stateCounts(project.labels_by_state)),
         ...project.missing.map((recording) =>
           h(
             "div.row.missing",
@@ -226,15 +224,10 @@ function card(
           ),
         ),
         line,
-        h(
-          "div.row.next",
-          next
-            ? h("a.button.primary-link", { href: makeHash(name, next.mode), "data-testid": `next-${name}` }, next.text)
-            : addButton,
-        ),
+        h("div.row.next", next ? goOn(name, next) : addButton),
         h(
           "div.row",
-          isEmpty ? null : addButton,
+          !isEmpty && addButton,
           button([glyph("plus"), "Boxes"], () => addBoxes(name), {
             title: "Import 2D boxes on camera images, or 3D boxes as proposals or labels, from a file",
             hidden: isEmpty,
@@ -248,6 +241,9 @@ function card(
     ...content,
   ]);
 }
+
+const goOn = (/** @type {string} */ name, /** @type {NonNullable<ReturnType<typeof nextStep>>} */ { mode, text }) =>
+  h("a.button.primary-link", { href: makeHash(name, mode), "data-testid": `next-${name}` }, text);
 
 /** What to do next in a project with recordings. */
 export function nextStep(

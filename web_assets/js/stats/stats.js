@@ -16,15 +16,6 @@ const REST = 20;
 const MOST_VALUES = 12;
 /** Characters of a value that are shown. */
 const MOST_CHARACTERS = 40;
-/** @type {Record<string, string>} */
-const ORIGINS = {
-  "proposal accepted untouched": "Proposal, accepted untouched",
-  "proposal edited": "Proposal, edited",
-  "from nothing": "From scratch",
-  "placed in 3D": "Placed in 3D",
-  copied: "Copied",
-  "import edited": "Imported, edited",
-};
 /** Listed even without boxes: these compare proposals with drawing from scratch. */
 const ALWAYS = ["proposal accepted untouched", "proposal edited", "from nothing"];
 
@@ -58,7 +49,6 @@ export function mount(root, app, until) {
     timer = undefined;
     const beganMs = performance.now();
     try {
-      /** @type {Api.ReportedStatistics} */
       const known = await app.api.get(app.path("statistics"));
       if (!until.aborted) show(known);
     } catch (error) {
@@ -94,7 +84,7 @@ export function mount(root, app, until) {
   void load();
 }
 
-const originName = (/** @type {string} */ name) => ORIGINS[name] ?? name;
+const originName = (/** @type {string} */ name) => `${name[0].toUpperCase()}${name.slice(1)}`;
 
 function tilesOf(
   /** @type {Api.ReportedStatistics} */ { effort, accepted_untouched, iou_proposal_to_final, labels, progress },
@@ -208,7 +198,7 @@ function projectTable(/** @type {Api.ReportedStatistics} */ known) {
 function effortChart(/** @type {"seconds_a_box" | "actions_a_box"} */ key, /** @type {string} */ color) {
   return (/** @type {Api.ReportedStatistics} */ { effort }, /** @type {Colors} */ colors) => {
     const entries = Object.entries(effort.by_origin).filter(([, entry]) => entry.boxes > 0);
-    const names = entries.map(([name]) => originName(name).replace(", ", ",<br>"));
+    const names = entries.map(([name]) => originName(name).replace(" ", "<br>"));
     const y = entries.map(([, entry]) => entry[key]);
     return {
       traces: [{ type: "bar", x: names, y, marker: { color: colors[color] } }],

@@ -4,10 +4,9 @@
  * tells in `state.span` which part of a track is selected. Lanes that are out of sight are not drawn.
  */
 
-import { classColor } from "../colors.js";
+import { classColor, onTheme } from "../colors.js";
 import { h, iconButton, patch } from "../dom.js";
 import { makeHash } from "../router.js";
-import { onTheme } from "../theme.js";
 import {
   classOf,
   describe,
