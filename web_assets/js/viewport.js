@@ -289,6 +289,13 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
 
   return {
     show,
+    /** The viewport's id; null before it is open. */
+    get id() {
+      return bench?.id ?? null;
+    },
+    get state() {
+      return state;
+    },
     graphics,
     /** Puts the view into the page, until `detach`. */
     attach(/** @type {HTMLElement} */ host, /** @type {ViewportUser} */ by) {
