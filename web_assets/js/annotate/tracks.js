@@ -13,11 +13,7 @@ import { currentFrame } from "../frame_state.js";
 /** A copy with fewer points inside stands on nothing. */
 const LEAST_POINTS = 5;
 
-/**
- * What to say about boxes that were copied from the previous frame, and how.
- *
- * @returns {[string, "good" | "warn"]}
- */
+/** What to say about boxes that were copied from the previous frame, and how. @returns {[string, "good" | "warn"]} */
 export function copiedText(/** @type {PageLabel[]} */ copies) {
   const empty = copies.filter(({ points }) => points < LEAST_POINTS);
   const what = `${count(copies.length, "box", "boxes")} copied from the previous frame, to be reviewed.`;
