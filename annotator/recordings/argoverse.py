@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from jaxtyping import UInt8
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.fenced_files import Kind, read_feather
@@ -85,6 +86,11 @@ class ArgoverseLog(Scanned, RigCamera):
         folder = self.path / CAMERAS / self.camera
         return self._sweep_file(key), frame_file(folder, self.images[i], IMAGE_SUFFIXES, f"the sweep {key}")
 
+    def image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
+        if not self.camera:
+            return super().image(i)
+        return read_color_image(self.files(i)[1], (self._intrinsics.width_px, self._intrinsics.height_px)).rgb
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; its cloud holds the points inside the image, or all without images."""
         key = self.key(i)
@@ -95,7 +101,7 @@ class ArgoverseLog(Scanned, RigCamera):
         size = camera.width_px, camera.height_px
         picture = read_color_image(image, size)
         require_size(image, picture.rgb, size, "the calibration says", REMEDY)
-        T_city_camera = self._T_city_ego(self.images[i]) * self._mount(self.camera)
+        T_city_camera = self._T_city_camera(i)
         T_camera_ego = T_city_camera.inv() * self._T_city_ego(key)
         raw = self._sweep(key)
         xyz_m = T_camera_ego.apply(raw.xyz_m)
@@ -106,20 +112,28 @@ class ArgoverseLog(Scanned, RigCamera):
 
     def scan(self, i: int) -> Scan:
         key = self.key(i)
-        raw = self._sweep(key)
         T_city_ego = self._T_city_ego(key)
         up = T_city_ego.rotation.inv().apply(UP)
         place_m = self._mount(LIDAR).translation
         R_level_ego, T_ego_label = level_turn(up, AHEAD), RigidTransform.identity()
-        return Scan(raw, R_level_ego, place_m, T_ego_label, True, int(key), T_city_ego)
+        return Scan(lambda: self._sweep(key), R_level_ego, place_m, T_ego_label, True, int(key), T_city_ego)
+
+    @property
+    def pose_source(self) -> str:
+        return POSES
+
+    def pose(self, i: int) -> RigidTransform:
+        self.key(i)
+        T = self._T_city_camera(i) if self.camera else self.scan(i).T_world_camera(R_CAMERA_LEVEL)
+        assert T is not None
+        return T
 
     def moment(self, i: int) -> str:
         return self.key(i)
 
     def T_rig_camera(self, i: int) -> RigidTransform:
         """Returns the camera's pose in the ego frame of the sweep's time."""
-        T_ego_city = self._T_city_ego(self.key(i)).inv()
-        return T_ego_city * self._T_city_ego(self.images[i]) * self._mount(self.camera)
+        return self._T_city_ego(self.key(i)).inv() * self._T_city_camera(i)
 
     def _sweep_file(self, key: str) -> Path:
         return self.path / SWEEPS / f"{key}.feather"
@@ -131,6 +145,9 @@ class ArgoverseLog(Scanned, RigCamera):
         columns["intensity"] = columns["intensity"].clip(0, MOST_INTENSITY).astype(np.uint8)
         with file_errors(path, REMEDY):
             return from_columns(columns)
+
+    def _T_city_camera(self, i: int) -> RigidTransform:
+        return self._T_city_ego(self.images[i]) * self._mount(self.camera)
 
     def _T_city_ego(self, time_ns: str) -> RigidTransform:
         return _rigid(self.path / POSES, time_ns, self.poses, int(time_ns))

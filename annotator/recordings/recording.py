@@ -12,7 +12,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
+from jaxtyping import UInt8
 from pydantic import Field, ValidationError
+from scipy.spatial.transform import RigidTransform
 
 from annotator.types import Frame
 from annotator.types.bases import Strict
@@ -122,6 +125,10 @@ class Recording(ABC):
             IndexError: there is no such frame.
         """
 
+    def image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
+        """Reads the image of frame `i`, RGB order: without the rest of the frame, if it is a file of its own."""
+        return self.frame(i).rgb
+
     @property
     def root(self) -> Path:
         """The folder of the frames (and labels): `path`, or its `training` subfolder."""
@@ -141,6 +148,19 @@ class Recording(ABC):
     @property
     def origin(self) -> Place | None:
         """The origin in map coordinates; None in a sensor's coordinates, or with a real camera. It may read a cloud."""
+        return None
+
+    @property
+    def pose_source(self) -> str | None:
+        """The file or topic of the frames' poses; None without poses, and where only the clouds are in a map."""
+        return None
+
+    def pose(self, i: int) -> RigidTransform | None:
+        """Returns `T_world_camera` of frame `i` at its time, as in `Frame`; None if it is not known.
+
+        It reads a cloud only if that says where the virtual camera stands.
+        """
+        self.key(i)
         return None
 
     @cached_property
