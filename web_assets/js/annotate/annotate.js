@@ -96,8 +96,8 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   const follow = createFollow(parts.track, app, desk, {
     open: go,
     onFirst(target) {
-      // the operator is on the way to another frame
-      if (opening.loading || sheet.again()) return;
+      // the operator is on the way to another frame, or draws here
+      if (opening.loading || image.isBusy || desk.shown?.isNew || sheet.again()) return;
       // what is open here comes first
       if (desk.labels().some(isOpen)) opening.pick(null);
       else void goInQueue(target);

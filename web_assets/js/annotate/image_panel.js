@@ -218,6 +218,10 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     show,
     /** The next drag draws a box of this class; null: none. */
     draw,
+    /** Whether a box is being drawn, or fitted to what was drawn. */
+    get isBusy() {
+      return editor.isDragging || isFitting;
+    },
     /** Whether a box was asked for. */
     get isDrawing() {
       return wanted !== null;
