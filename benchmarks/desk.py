@@ -202,8 +202,9 @@ class Hand:
         self.get = self.page.get_by_test_id
         self.at = self._starts[name]
         open_frame(self.page, self.at.project, self.at.frame, self.at.uid)
-        shown = "document.querySelector('[data-testid=orthos]')?.dataset.shown"
-        until(self.page, f"({shown} ?? '') === '{self.at.uid}'", PATIENCE_S)
+        if self.at.uid:
+            shown = "document.querySelector('[data-testid=orthos]')?.dataset.shown"
+            until(self.page, f"{shown} === '{self.at.uid}'", PATIENCE_S)
         self.actions, self.wait_s = 0, 0.0
 
     def press(self, key: str, result: Result) -> None:

@@ -331,7 +331,7 @@ export function createDesk(/** @type {App} */ app) {
       notify("selection");
     },
 
-    /** What would be lost if the page were left now; null if everything is saved. */
+    /** What would be lost if the page were left now; null if everything is saved. @returns {Unsaved | null} */
     get unsaved() {
       const changed = [...drafts.keys()].filter((id) => !added.has(id)).length;
       if (changed === 0 && added.size === 0 && waiting === 0) return null;
@@ -341,7 +341,15 @@ export function createDesk(/** @type {App} */ app) {
         added.size && count(added.size, "new box, not accepted yet", "new boxes, not accepted yet"),
         changed === 0 && added.size === 0 && "what is being sent",
       ];
-      return { text: `Not saved: ${what.filter(Boolean).join(", ")}. ${[...new Set(problems)].join(" ")}`.trim() };
+      return {
+        text: `Not saved: ${what.filter(Boolean).join(", ")}. ${[...new Set(problems)].join(" ")}`.trim(),
+        retry: () => Promise.all([...new Set([...drafts.keys(), ...added.keys()])].map(retry)),
+        discard() {
+          forget();
+          if (!stored()) uid = null;
+          notify("frame");
+        },
+      };
     },
 
     /** Calls `fn(what)` after changes. Returns a function that removes this listener. */
@@ -387,13 +395,6 @@ export function createDesk(/** @type {App} */ app) {
 
     /** Saves a box that could not be saved or is not accepted. */
     retry: (id = uid) => retry(id),
-    retryAll: () => Promise.all([...new Set([...drafts.keys(), ...added.keys()])].map(retry)),
-    discardAll() {
-      forget();
-      if (!stored()) uid = null;
-      notify("frame");
-    },
-
     /** Accepts, rejects or deletes a label. */
     async decide(/** @type {"accept" | "reject" | "delete"} */ kind, /** @type {string} */ id) {
       const entry = added.get(id);

@@ -100,15 +100,12 @@ export function createSheet(app, { desk, queue, preload, open, next, isFollowed 
     let proposals = shown.filter(isOpen);
     /** @type {Map<string, HTMLElement>} */
     const tiles = new Map();
-    const grid = h("div", { class: "sheet", onkeydown: onKey });
-    const note = h("p", { class: "muted", role: "status", "data-testid": "sheet-note" });
+    const grid = h("div.sheet", { onkeydown: onKey });
+    const note = h("p.muted", { role: "status", "data-testid": "sheet-note" });
 
     function tile(/** @type {Api.TrackBox} */ box) {
       return button(
-        [
-          h("img", { alt: "", width: WIDTH, height: HEIGHT, decoding: "async" }),
-          h("span", { class: "ellipsis" }, box.key),
-        ],
+        [h("img", { alt: "", width: WIDTH, height: HEIGHT, decoding: "async" }), h("span.ellipsis", box.key)],
         (event) => (event.ctrlKey || event.metaKey ? correct(box) : toggle(box.uid, event.shiftKey)),
         {
           class: `tile state-${box.state}`,
