@@ -137,7 +137,7 @@ def checked(path: Path, lines: Sequence[int], rows: Sequence[Sequence[float]]) -
     table = np.array(rows, np.float64).reshape(-1, 7)
     lengths = np.linalg.norm(table[:, 3:], axis=1)
     # comparisons with NaN are false
-    are_sound: np.ndarray = (np.abs(table) <= LARGEST).all(axis=1)
+    are_sound = np.asarray((np.abs(table) <= LARGEST).all(axis=1))
     for at in np.flatnonzero(~(are_sound & (np.abs(lengths - 1) <= MOST_OFF_UNIT)))[:1]:
         what = f"a unit quaternion, but its length is {lengths[at]:.4g}"
         what = what if are_sound[at] else "a place and a quaternion, of finite numbers"
