@@ -323,7 +323,7 @@ class Operator:
 
     def _help_later(self, frame: StoredFrame, label: Label, moved: int, bill: Bill) -> bool:
         """Follows a corrected box, in place of the later proposals of its track, if that promises to help more than
-        that `moved` of these were corrected with it; or looks at these on the sheet again.
+        that `moved` of these were corrected with it.
 
         Returns whether the page has gone on to the next box.
         """
@@ -333,10 +333,9 @@ class Operator:
         own = (self._right[label.track_id] + 1) / (self._seen[label.track_id] + 2)
         # one key: worth a try; what it made before drifts: begin anew
         helped = (label.uid in self._made or (chance > own and not moved)) and self._follow(frame, label.uid, bill)
-        if label.track_id in self._left_sheets and (helped or moved):
-            # the page shows it again after following
-            self._use_sheet(label.track_id, frame, is_back=helped)
-            return True
+        if helped and label.track_id in self._left_sheets:
+            # the page shows the sheet again
+            self._use_sheet(label.track_id, frame, is_back=True)
         return helped
 
     def _has_later(self, frame: StoredFrame, label: Label) -> bool:

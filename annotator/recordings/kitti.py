@@ -39,7 +39,7 @@ from pathlib import Path
 from typing import ClassVar, Literal, TypeVar
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float, Float64, UInt8
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import TABLE_BYTES, read_text_file
@@ -269,10 +269,13 @@ class KittiFolder(Scanned):
         image = frame_file(self.root / self.images, key, IMAGE_SUFFIXES, f"{self.scans}/{key}.bin")
         return image, self._scan_file(key)
 
+    def image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
+        return read_color_image(self.files(i)[0]).rgb
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; labels are in rectified camera 0 (`T_camera_label`)."""
-        key, (image, scan) = self.key(i), self.files(i)
-        rgb, calibration, raw = read_color_image(image).rgb, self.calibration(key), self.reader.read(scan)
+        key, (_, scan) = self.key(i), self.files(i)
+        rgb, calibration, raw = self.image(i), self.calibration(key), self.reader.read(scan)
         camera = calibration.camera(rgb.shape[1], rgb.shape[0])
         remedy = f"check that {calibration.path} belongs to this scan"
         cloud = visible_cloud(scan, camera, calibration.to_camera(raw.xyz_m), raw, rgb, remedy)

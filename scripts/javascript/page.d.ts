@@ -124,20 +124,47 @@ interface Messages {
 
 type ViewportMessage = { workbench: string } & (
   | { event: "connected"; connected: boolean }
-  | ({ event: "select" } & ViewportEvents["select"])
-  | ({ event: "box" } & ViewportEvents["box"])
+  | { event: "select"; uid: string }
+  | ({ event: "box" } & MovedBox)
 );
 
-interface ViewportEvents {
+/** What a mode does with the 3D view. */
+interface ViewportUser {
+  onSelect(uid: string): void;
   /** The gizmo moves a box; the last message of a drag is `final`. */
-  box: { uid: string; box: Box3D; final: boolean };
-  select: { uid: string };
-  state: ViewportState;
+  onBox(moved: MovedBox): void;
 }
+type MovedBox = { uid: string; box: Box3D; final: boolean };
 
 /** What the colours of boxes in the 3D view say. */
 type BoxColor = "state" | "class" | "track";
 type ViewportState = "opening" | "ready" | "lost" | "unsupported";
+
+type Word<W> = W extends string ? (string extends W ? "*" : W) : "*";
+/** The words of a path, with a star for each value. */
+type Words<P extends readonly unknown[]> = P extends readonly [infer W]
+  ? Word<W>
+  : P extends readonly [infer W, ...infer Rest]
+    ? `${Word<W>}/${Words<Rest>}`
+    : "";
+/** The path of a project's resource; `of` is there only for the type of the answer. */
+type ProjectPath<P extends readonly unknown[]> = string & { readonly of: Words<P> };
+type Asked<
+  Method extends string,
+  P,
+> = `${Method} ${P extends { readonly of: infer Of extends string } ? Of : P & string}`;
+/** What the server's schema says of the answer to a request; unknown for a path that is made of text. */
+type Answer<Method extends string, P> =
+  Asked<Method, P> extends infer Known extends keyof Api.Answers ? Api.Answers[Known] : unknown;
+type Ask<Method extends string> = <P extends string, T = Answer<Method, P>>(
+  path: P,
+  options?: RequestOptions,
+) => Promise<T>;
+type Send<Method extends string> = <P extends string, T = Answer<Method, P>>(
+  path: P,
+  body?: object,
+  options?: RequestOptions,
+) => Promise<T>;
 
 type Client = ReturnType<typeof import("../../web_assets/js/api.js").createApi>;
 type RequestOptions = { signal?: AbortSignal };
@@ -162,7 +189,7 @@ interface App {
   /** Goes to an address from router.makeHash. */
   go(hash: string): void;
   /** The path of a resource of the open project: app.path("frames", 3). */
-  path(...parts: (string | number)[]): string;
+  path<const P extends readonly (string | number)[]>(...parts: P): ProjectPath<P>;
   /** Reads the project's summary again, into state.project. */
   refreshProject(): Promise<void>;
   /** Reads a frame into state.frame, and reports to the other pages that it is open here. */
@@ -217,10 +244,8 @@ type Mine = { text: string[]; boxes: Rect[]; outlines: Line[][] };
 /** `suggested` is dashed until the operator accepts it; `caption` replaces the label. */
 type EditorBox = Box2D & {
   suggested?: boolean;
-  readonly?: boolean;
   faint?: boolean;
   caption?: string;
-  color?: string;
 };
 
 /** An arrow in px of a picture; `sight`: cosine of the angle between it and the line of sight. */
@@ -238,31 +263,26 @@ type Overlay = {
   wrong?: boolean;
 };
 
-/** `sight`: the line of sight, px of the picture for each metre, along which the box can be moved. */
-type Handles = { edges: boolean; corners: boolean; rotate: boolean; sight: Point | null };
 type EditKind = "draw" | "move" | "resize" | "nudge" | "delete" | "accept";
 type Editor = ReturnType<typeof import("../../web_assets/js/editor2d/editor.js").createEditor>;
 type View = ReturnType<typeof import("../../web_assets/js/editor2d/geometry.js").createView>;
 
 interface EditorOptions {
   /** Accessible name. */
-  label?: string;
-  classes?: string[];
-  /** By default the class's colour. */
-  color?: (box: EditorBox) => string;
-  /** Class of a drawn box, by default the first one. */
+  label: string;
+  color: (box: EditorBox) => string;
+  /** Class of a drawn box. */
   newLabel?: () => string | null;
   /** Only the selected box can be resized: a drag that begins on the edge of another box draws a new one. */
   selectFirst?: boolean;
   /** There is only one box; drawing replaces it. */
   single?: boolean;
-  /** True by default; a function is called each time. */
-  canDraw?: boolean | (() => boolean);
+  /** Whether a drag draws a box; by default it does. */
+  canDraw?: () => boolean;
   /** Whether a box was asked for: if not, a drag draws one all the same, but no lines show where, and Insert does not. */
   isAsked?: () => boolean;
   /** A drag with a shorter side draws no box, CSS pixels; 0 by default. */
   leastDraw?: number;
-  canMove?: boolean;
   canDelete?: boolean;
   /** Boxes end at the picture's border; true by default. */
   clip?: boolean;
@@ -270,11 +290,11 @@ interface EditorOptions {
   onChange?: (boxes: EditorBox[], why: EditKind, index: number, actions: number) => unknown;
   /** Called while dragging, before the change is finished. */
   onDrag?: (boxes: EditorBox[], index: number) => unknown;
-  /** Replaces the effect of Enter, which accepts the selected suggestion; true if it did something. */
-  onEnter?: (event: KeyboardEvent) => boolean;
+  /** Called by Enter; true if it did something. */
+  onEnter?: () => boolean;
   /** Called with the index of the selected box; -1: none. */
   onSelect?: (index: number) => unknown;
-  /** Called by the rotation handle; a positive angle turns x towards y. The editor shows the turn until setBoxes. */
+  /** Called by the rotation handle, which is there with this; a positive angle turns x towards y. The editor shows the turn until setBoxes. */
   onRotate?: (angleRad: number, isFinal: boolean) => unknown;
   /** Called by the handle on the line of sight, like `onRotate`. */
   onSlide?: (metres: number, isFinal: boolean) => unknown;
@@ -286,14 +306,14 @@ interface EditorOptions {
 interface EditorInside {
   root: HTMLElement;
   view: View;
-  picture: Size;
   /** Of the window, CSS pixels; `border` is its outer width. */
   size: Size & { border: number };
   options: EditorOptions;
   readonly boxes: EditorBox[];
   readonly selected: number;
   readonly overlays: Overlay[];
-  readonly handles: Handles;
+  /** The line of sight, px of the picture for each metre, along which a handle moves the box. */
+  readonly sight: Point | null;
   redraw(): void;
   flush(): void;
   isReadonly(): boolean;

@@ -64,6 +64,28 @@ test("a frame that could not be read again is still behind", async () => {
   assert.equal(frames.isBehind, true);
 });
 
+test("what was read ahead is opened at once, and is behind until it is read again", async () => {
+  const asked = [];
+  const app = fakeApp({ get: async (path) => asked.push(path) && frameState(3, [], 2) });
+  const frames = createFrameState(app);
+  await frames.prepare(2, "a");
+  await frames.open(2, "b");
+  assert.equal(asked.length, 2, "another label may be seen better by another camera");
+  app.state.frame = frameState(1);
+  await frames.prepare(2, null);
+  asked.length = 0;
+  await frames.open(2, null);
+  assert.deepEqual([app.state.frame.frame.id, asked, frames.isBehind], [2, [], true]);
+  await frames.refresh();
+  assert.deepEqual([asked, frames.isBehind], [["frames/2"], false]);
+  app.state.frame = frameState(1);
+  await frames.prepare(2, null);
+  frames.hear({ frame: 2, revision: 4 });
+  asked.length = 0;
+  await frames.open(2, null);
+  assert.notEqual(asked.length, 0, "it has changed since");
+});
+
 // -- the queue
 
 const item = (uid, frame = 1) => ({ uid, frame });
@@ -97,7 +119,7 @@ test("the next item is the one after this one, and at the end the first one that
   assert.equal(queue.after("b").uid, "c", "goes on from the same place");
 });
 
-test("items of other frames stay, and an undo reads the queue again", async () => {
+test("items of other frames stay, and an undo brings its item back at once and reads the queue again", async () => {
   mock.timers.enable({ apis: ["setTimeout"] });
   const { queue, reads } = queueOf([item("a"), item("b", 2)]);
   await queue.load();
@@ -107,6 +129,7 @@ test("items of other frames stay, and an undo reads the queue again", async () =
     ["b"],
   );
   queue.settle(frameState(3, [{ uid: "a", state: "proposed" }]));
+  assert.deepEqual([queue.items.map(({ uid }) => uid), queue.remaining], [["a", "b"], 2]);
   assert.equal(reads(), 1);
   mock.timers.tick(2000);
   assert.equal(reads(), 2);
@@ -247,13 +270,16 @@ test("another track is no new review of the box, and a box that others have dele
 // -- other things that are waited for
 
 test("nothing is loaded ahead while a sheet is open", async () => {
-  globalThis.Image = class {};
+  globalThis.Image = class {
+    decode = async () => {};
+  };
   const asked = [];
   const get = async (path) => {
     asked.push(path);
     return frameState(1, [], 2);
   };
   const app = fakeApp({ get, state: { frame: frameState(1) } });
+  app.frames = createFrameState(app);
   const preload = createPreload(app, { uid: "now", stored: () => null }, { after: () => item("next", 2) });
   const release = preload.hold();
   await preload.start();

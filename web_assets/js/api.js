@@ -3,7 +3,7 @@
 import { ApiError, isAborted } from "./errors.js";
 
 /**
- * The caller gives the type of the answer, which the server's routes define (see `Api`).
+ * The types of answers are those of the server's routes (`Api.Answers`).
  *
  * @param {EffortCounter} effort
  * @param {() => unknown} onSignedOut called with each 401.
@@ -40,12 +40,11 @@ export function createApi(effort, onSignedOut) {
   }
 
   /**
-   * @template T
    * @param {string} method
    * @param {string} path
    * @param {unknown} body
    * @param {RequestOptions} [options]
-   * @returns {Promise<T>}
+   * @returns {Promise<any>} of the type that the server's schema gives to the route (`Answer`).
    */
   async function request(method, path, body, options = {}) {
     return readJson(await send(method, path, body, options));
@@ -71,37 +70,39 @@ export function createApi(effort, onSignedOut) {
       }
     },
 
-    /** @type {<T>(path: string, options?: RequestOptions) => Promise<T>} */
+    /** @type {Ask<"GET">} */
     get: (path, options) => request("GET", path, undefined, options),
 
-    /** JSON, or a file. @type {<T>(path: string, body?: object, options?: RequestOptions) => Promise<T>} */
+    /** JSON, or a file. @type {Send<"POST">} */
     post: (path, body = {}, options = {}) => request("POST", path, body, options),
 
-    /** @type {<T>(path: string, body: object) => Promise<T>} */
+    /** @type {Send<"PUT">} */
     put: (path, body) => request("PUT", path, body),
 
-    /** @type {<T>(path: string, body: object) => Promise<T>} */
+    /** @type {Send<"PATCH">} */
     patch: (path, body) => request("PATCH", path, body),
 
-    del: (/** @type {string} */ path) => request("DELETE", path, undefined),
+    /** @type {Ask<"DELETE">} */
+    del: (path) => request("DELETE", path, undefined),
 
-    /**
-     * A POST that carries the effort since the last acknowledged change.
-     *
-     * @template T
-     * @param {string} path
-     * @param {object} body
-     * @returns {Promise<T>}
-     */
+    /** A POST that carries the effort since the last acknowledged change. @type {Send<"POST">} */
     async change(path, body) {
       const sent = effort.peek();
-      /** @type {T} */
       const answer = await request("POST", path, { ...body, effort: sent });
       effort.acknowledge(sent);
       return answer;
     },
   };
 }
+
+/**
+ * A path with a query.
+ *
+ * @template {string} P
+ * @param {P} path
+ * @param {Record<string, string>} query
+ */
+export const withQuery = (path, query) => /** @type {P} */ (`${path}?${new URLSearchParams(query)}`);
 
 /**
  * For requests of which only the newest counts: `const isNewest = begin()` before one, `isNewest()` after it.
@@ -132,7 +133,14 @@ async function readJson(/** @type {Response} */ response) {
   }
 }
 
-/** The path of a project's resource: projectPath("hands", "frames", 3) -> /api/projects/hands/frames/3. */
-export function projectPath(/** @type {string} */ project, /** @type {...(string | number)} */ ...parts) {
-  return ["/api/projects", ...[project, ...parts].map((part) => encodeURIComponent(part))].join("/");
+/**
+ * The path of a project's resource: projectPath("hands", "frames", 3) -> /api/projects/hands/frames/3.
+ *
+ * @template {readonly (string | number)[]} const P
+ * @param {string} project
+ * @param {P} parts
+ */
+export function projectPath(project, ...parts) {
+  const path = ["/api/projects", ...[project, ...parts].map((part) => encodeURIComponent(part))].join("/");
+  return /** @type {ProjectPath<P>} */ (path);
 }

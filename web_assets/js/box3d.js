@@ -166,14 +166,10 @@ export function withViewRect(/** @type {Plane} */ view, /** @type {Box3D} */ box
   return after;
 }
 
-/** The box turned about its centre and a unit vector of the camera frame. */
+/** The box turned about its centre and a unit vector of the camera frame; about a view's line of sight: clockwise. */
 export function turned(/** @type {Box3D} */ box, /** @type {Vector} */ axis, /** @type {number} */ angleRad) {
   return { ...copyBox(box), rotation: orthonormal(multiply(aboutAxis(axis, angleRad), box.rotation)) };
 }
-
-/** The box after a view's rotation handle was turned by an angle, clockwise on the screen (x to y). */
-export const turnedInView = (/** @type {Plane} */ view, /** @type {Box3D} */ box, /** @type {number} */ angleRad) =>
-  turned(box, view.axes[2], angleRad);
 
 /**
  * The same cuboid with its heading turned by so many quarters about z, so that the same points are inside: by one,

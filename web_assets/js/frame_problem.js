@@ -34,7 +34,6 @@ export function createFrameProblem(host, { onRetry, onStep }) {
 
 /** The frame before or after one that cannot be read, in the same recording; null if there is none. */
 export async function frameBeside(/** @type {App} */ app, /** @type {number} */ id, /** @type {Direction} */ which) {
-  /** @type {Api.Beside} */
   const beside = await app.api.get(app.path("frames", id, "beside"));
   return beside[which];
 }

@@ -83,7 +83,6 @@ export function takeJob(/** @type {App} */ app, /** @type {Api.Job} */ job) {
 /** Reads all jobs. What is heard of a job meanwhile is newer. */
 export async function readJobs(/** @type {App} */ app) {
   const before = app.state.jobs;
-  /** @type {Api.Job[]} */
   const jobs = await app.api.get("/api/jobs");
   const heard = app.state.jobs.filter((job) => !before.includes(job));
   app.state.set({ jobs: [...heard, ...jobs.filter(({ id }) => !heard.some((job) => job.id === id))] });

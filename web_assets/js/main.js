@@ -93,7 +93,6 @@ function createApp() {
 async function refreshProject() {
   const name = app.state.route.project;
   if (name === null) return;
-  /** @type {Api.ProjectInfo} */
   const project = await app.api.get(projectPath(name));
   if (app.state.route.project === name) app.state.set({ project });
 }
@@ -137,7 +136,6 @@ async function travel(/** @type {"undo" | "redo"} */ direction, /** @type {boole
   try {
     if (!(await mayLeave())) return;
     app.effort.action();
-    /** @type {Api.StepOut} */
     const { frame, state, done } = await app.api.change(app.path(direction), { skip });
     toast(`${direction === "undo" ? "Undone" : "Redone"}: ${done}`);
     if (frame === null || state === null) await refreshProject();
@@ -201,7 +199,6 @@ async function catchUp() {
   const { route, frame } = app.state;
   await refreshProject();
   if (route.mode !== "annotate" || frame === null) return;
-  /** @type {FrameState} */
   const now = await app.api.get(app.path("frames", frame.frame.id));
   const isShown = app.state.route.project === route.project && app.state.frame?.frame.id === frame.frame.id;
   if (isShown && now.image.url !== frame.image.url) await follow(true);
@@ -371,7 +368,6 @@ async function start() {
   mountTimeline(elementById("timeline"), app);
   mountGuide(app);
   try {
-    /** @type {Api.Session} */
     const session = await app.api.get("/api/session");
     app.state.set({ operator: session.operator, version: session.version });
     if (!session.operator) await signIn(app);

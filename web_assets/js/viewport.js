@@ -41,13 +41,13 @@ const STYLE =
   "canvas { cursor: default !important; outline: none; }";
 
 export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" | "keys" | "state">} */ app) {
-  /** @type {Map<string, Set<(value: never) => unknown>>} */
-  const listeners = new Map();
-  const note = h("p", { class: "viewport-note", role: "status", "data-testid": "viewport-note" });
-  const stage = h("div", { class: "viewport-stage", "data-testid": "viewport" }, note);
+  /** What the mode does that shows the view. @type {ViewportUser | null} */
+  let user = null;
+  const note = h("p.viewport-note", { role: "status", "data-testid": "viewport-note" });
+  const stage = h("div.viewport-stage", { "data-testid": "viewport" }, note);
   const bar = createViewportBar({ change: () => look(null), look });
-  const element = h("div", { class: "viewport" }, bar.root, stage);
-  const layer = h("div", { class: "viewport-layer", hidden: true }, bar.looks);
+  const element = h("div.viewport", bar.root, stage);
+  const layer = h("div.viewport-layer", { hidden: true }, bar.looks);
   const place = { text: "" };
   /** @type {HTMLIFrameElement | null} */
   let frame = null;
@@ -88,24 +88,13 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   const pace = createPace(graphics === "software" ? SOFTWARE.moving : Infinity);
   if (graphics === "none") say("unsupported", NO_WEBGL);
 
-  /**
-   * @template {keyof ViewportEvents} K
-   * @param {K} event
-   * @param {ViewportEvents[K]} value
-   */
-  function emit(event, value) {
-    for (const fn of [...(listeners.get(event) ?? [])]) fn(/** @type {never} */ (value));
-  }
-
   /** Changes the state; `text` is shown while there is no picture. */
   function say(/** @type {ViewportState} */ next, /** @type {string} */ text = "") {
-    const changed = state !== next;
     state = next;
     note.textContent = text;
     stage.dataset.state = next;
     bar.root.hidden = next === "unsupported";
     follow();
-    if (changed) emit("state", next);
   }
 
   /** Puts the iframe over its place. Hides it while the place is not on the page, or there is no picture. */
@@ -168,7 +157,6 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     if (bench !== null && bench.project !== project) leave();
     if (bench === null) {
       say("opening", "Opening the 3D view …");
-      /** @type {Api.OpenedViewport} */
       const opened = await app.api.post("/api/workbench", { project });
       bench = { project, ...opened };
       return;
@@ -217,8 +205,8 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   function receive(/** @type {ViewportMessage} */ message) {
     if (message.workbench !== bench?.id) return;
     if (message.event === "connected") connected(message.connected);
-    else if (message.event === "box") emit("box", message);
-    else emit("select", message);
+    else if (message.event === "box") user?.onBox(message);
+    else user?.onSelect(message.uid);
   }
 
   /** Makes a new iframe for a new viewport. */
@@ -308,28 +296,13 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   }
 
   return {
-    element,
     show,
-    /**
-     * Calls `handler(value)` for each event. Returns a function that removes this handler.
-     *
-     * @template {keyof ViewportEvents} K
-     * @param {K} event
-     * @param {(value: ViewportEvents[K]) => unknown} handler
-     */
-    on(event, handler) {
-      const known = listeners.get(event) ?? new Set();
-      listeners.set(event, known.add(handler));
-      return () => known.delete(handler);
-    },
-    /** The viewport's id; null before it is open. */
-    get id() {
-      return bench?.id ?? null;
-    },
-    get state() {
-      return state;
-    },
     graphics,
+    /** Puts the view into the page, until `detach`. */
+    attach(/** @type {HTMLElement} */ host, /** @type {ViewportUser} */ by) {
+      user = by;
+      host.append(element);
+    },
     /** A view that is not shown yet waits until the returned function is called. */
     hold() {
       isHeld = state !== "ready";
@@ -343,6 +316,7 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     /** Takes the view out of the page. It stays connected, so it can be shown again at once. */
     detach() {
       if (element.contains(document.activeElement) || document.activeElement === frame) window.focus();
+      user = null;
       element.remove();
       follow();
     },

@@ -125,7 +125,6 @@ export function createWhere(/** @type {App} */ app) {
 
   /** A row for each rig, whose cameras are in the other list: that of the camera that is open, if it has the same. */
   async function readRecordings() {
-    /** @type {Api.ListedRecording[]} */
     const all = await app.api.get(app.path("recordings"));
     const kept = all.filter(({ removed_by }) => removed_by === null);
     const now = state.frame?.frame;

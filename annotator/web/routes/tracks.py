@@ -163,12 +163,14 @@ def stop_following(at: AtProject) -> FollowRunJson | None:
 @router.post("/api/projects/{name}/recordings/{recording_id}/tracks/{track_id}")
 def operate(at: AtProject, recording_id: RowId, track_id: TrackId, body: OperationIn) -> OperationOut:
     """Apply an operation to a track, one undo step, if it does what the operator was told; untold, only count."""
-    caches, runs = at.ctx.caches, at.ctx.follow_runs
+    caches, operation = at.ctx.caches, body.operation
+    is_fit = body.told is not None and isinstance(operation, Fill) and operation.refit
+    view = caches.detectors.get(at.project, DetectorKind.VIEW) if is_fit else None
     done = apply(
         at.project,
         recording_id,
         track_id,
-        body.operation,
+        operation,
         at.operator,
         dry_run=body.told is None,
         told=body.told,
@@ -178,11 +180,10 @@ def operate(at: AtProject, recording_id: RowId, track_id: TrackId, body: Operati
     )
     if body.told is not None:
         at.announce()
-        if isinstance(body.operation, Fill) and body.operation.refit:
-            view = caches.detectors.get(at.project, DetectorKind.VIEW)
-            fit = box_fitter(at.project, lambda frame: OpenFrame(caches.frames.look(at.project, frame)), view)
-            run = RefitRun(at.project, done, at.operator, fit)
-            runs.start(at.project, at.operator, run, done.changes[0][0], "between", view is not None)
+    if is_fit:
+        fit = box_fitter(at.project, lambda frame: OpenFrame(caches.frames.look(at.project, frame)), view)
+        run = RefitRun(at.project, done, at.operator, fit)
+        at.ctx.follow_runs.start(at.project, at.operator, run, done.changes[0][0], "between", view is not None)
     return OperationOut(count=done.count, words=done.count.words())
 
 

@@ -320,6 +320,11 @@ class SetValues(_OfSpan):
 
         return track.each(track.around(), change)
 
+    def is_of_tracks(self, track: Track) -> bool:
+        """Whether all values are of attributes of tracks."""
+        of_tracks = {each.name for each in track.project.config.attributes if each.of is AttributeOf.TRACK}
+        return self.values.keys() <= of_tracks
+
     def _checked(self, known: dict[str, Attribute], name: str, track: Track) -> AttributeValue | None:
         if name not in known:
             raise NotFoundError(f"boxes have no attribute {name!r}; {alternatives(name, known)}")
@@ -439,7 +444,11 @@ def apply(
                 return done
             changed = sorted((step for step in steps if step.events), key=lambda step: step.frame.id != at)
             changes = [(step.frame, step.events) for step in changed]
-            parts = parts_of_frames(project, changes, WriteContext(0, author, effort=effort))
+            # what follows from another label of the track does not keep a proposal from being replaced
+            first = changes[0][1][0]
+            is_along = isinstance(operation, SetValues) and operation.is_of_tracks(track)
+            target = first.uid if is_along and isinstance(first, LabelChanged) else None
+            parts = parts_of_frames(project, changes, WriteContext(0, author, effort=effort, effort_target=target))
         try:
             new_tracks = [count.number] if new_track and count.number else []
             project.log.append_to_frames(parts, done.action, new_tracks)

@@ -20,6 +20,7 @@ from annotator.recordings import open_recording
 from annotator.types import Box2D, Label, Proposal, Quality, ReviewState, Source, Truth
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.follow_objects import Follower
+from annotator.workflows.tracks.refit_run import MIN_IOU
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -115,18 +116,24 @@ def test_a_track_is_continued_filled_and_stepped_through(desk: Desk, wait_for) -
     desk.settled()
     desk.press("i")
     expect(page.get_by_test_id("track-count")).to_have_text("This proposes 2 boxes in place of 2 other proposals.")
+    page.get_by_test_id("track-refit").check()
+    expect(page.get_by_test_id("track-count")).to_have_text("This proposes 2 boxes in place of 2 other proposals.")
     page.keyboard.press("Enter")
     has_boxes(page, 4)
+    # they are fitted in the background
+    expect(page.get_by_test_id("follow-title")).to_have_text("Fitted filled boxes by points")
+    expect(page.get_by_test_id("followed")).to_have_count(1)
     for frame in frames[1:3]:
         (filled,) = of_track(desk, frame)
         assert filled.state is ReviewState.PROPOSED
-        np.testing.assert_allclose(filled.box.center_m, first.box.center_m, atol=1e-9)
+        assert iou_3d(filled.box, first.box) > MIN_IOU
     page.get_by_test_id("color-by-track").check()
     page.get_by_test_id("timeline-strip").get_by_role("button").nth(1).click()
     expect(page.get_by_test_id("frame-position")).to_have_text("2 / 5")
     desk.settled()
     desk.press("Control+z")
     wait_for(lambda: not of_track(desk, frames[1]) and not of_track(desk, frames[2]))
+    expect(page.get_by_test_id("follow")).to_be_hidden()
 
 
 def test_the_operator_chooses_which_of_two_boxes_of_a_track_stays(desk: Desk, wait_for) -> None:

@@ -3,6 +3,7 @@
  * frames of the recording, and can be undone.
  */
 
+import { withQuery } from "../api.js";
 import { confirm } from "../dialogs.js";
 import { h } from "../dom.js";
 import { isAborted } from "../errors.js";
@@ -123,7 +124,6 @@ export function mount(root, app, until) {
       if (frame === null) throw new Error("The project has no recording yet; add one on the start page.");
       const own = frame;
       await app.loadFrame(own);
-      /** @type {Api.AlignmentJson} */
       const answer = await app.api.get(app.path("frames", own, "alignment"));
       if (until.aborted || own !== frame) return;
       isBroken = false;
@@ -153,17 +153,15 @@ export function mount(root, app, until) {
     }
   }
 
-  async function firstFrame(/** @type {string} */ recording = "") {
-    const of = recording === "" ? "" : `?recording=${recording}`;
-    return app.api.get(`${app.path("first-frame")}${of}`);
-  }
+  const firstFrame = (/** @type {Record<string, string>} */ of = {}) =>
+    app.api.get(withQuery(app.path("first-frame"), of));
 
   async function openRecording() {
     if (hasUnsaved() && !(await confirm("Another recording", NOT_KEPT, "Discard it", "danger"))) {
       picture.chosen.value = String(known?.recording);
       return;
     }
-    const first = await firstFrame(picture.chosen.value);
+    const first = await firstFrame({ recording: picture.chosen.value });
     if (first !== null) app.go(makeHash(app.state.project.name, "alignment", first));
   }
 
@@ -184,7 +182,6 @@ export function mount(root, app, until) {
     try {
       app.effort.action();
       const path = app.path("recordings", known.recording, what);
-      /** @type {Api.AlignmentJson} */
       const answer = await app.api.change(path, { ...content, frame: own, adjusted: known.adjusted });
       isBusy = false;
       if (until.aborted) return;
@@ -214,7 +211,6 @@ export function mount(root, app, until) {
     show();
     level.wait();
     try {
-      /** @type {Api.EstimatedUp} */
       const found = await app.api.post(app.path("recordings", asked.recording, "estimate-up"), {});
       // another recording may be shown by now, or its clouds may have been turned
       if (until.aborted || known.recording !== asked.recording || known.adjusted !== asked.adjusted) return;
@@ -240,7 +236,6 @@ export function mount(root, app, until) {
   async function onReconnected() {
     if (known === null || frame === null) return;
     try {
-      /** @type {Api.AlignmentJson} */
       const { recording, adjusted } = await app.api.get(app.path("frames", frame, "alignment"));
       if (!until.aborted) onAdjusted({ recording, adjusted, operator: "Someone" });
     } catch (error) {

@@ -136,7 +136,6 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     if (!label) return;
     const { id } = currentFrame(app).frame;
     try {
-      /** @type {Api.FitOut} */
       const { box, note, measured_by } = await app.api.post(app.path("frames", id, "refit"), {
         box: label.box,
         label: label.label,

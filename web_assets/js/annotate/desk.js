@@ -72,9 +72,11 @@ export function createDesk(/** @type {App} */ app) {
    * Sends a change of the open frame for which the operator need not choose between two versions. If others have changed
    * the frame in the meantime, theirs is shown, and the change is refused, or sent again.
    *
-   * @param {string} what
+   * @template {string} What
+   * @param {What} what
    * @param {() => object} body
    * @param {boolean} [isSentAgain]
+   * @returns {Promise<Answer<"POST", ProjectPath<["frames", number, What]>>>}
    */
   function change(what, body, isSentAgain = false) {
     const { id } = currentFrame(app).frame;
@@ -114,7 +116,6 @@ export function createDesk(/** @type {App} */ app) {
   ) {
     const body = { revision: currentFrame(app).frame.revision, changes, subject };
     try {
-      /** @type {Api.ChangedJson} */
       const { moved, ...state } = await app.api.change(app.path("frames", id, "changes"), body);
       app.frames.take(state);
       if (moved > 0) app.toast(`${count(moved, "unreviewed box", "unreviewed boxes")} of the track moved along.`);
@@ -330,7 +331,7 @@ export function createDesk(/** @type {App} */ app) {
       notify("selection");
     },
 
-    /** What would be lost if the page were left now; null if everything is saved. */
+    /** What would be lost if the page were left now; null if everything is saved. @returns {Unsaved | null} */
     get unsaved() {
       const changed = [...drafts.keys()].filter((id) => !added.has(id)).length;
       if (changed === 0 && added.size === 0 && waiting === 0) return null;
@@ -340,7 +341,15 @@ export function createDesk(/** @type {App} */ app) {
         added.size && count(added.size, "new box, not accepted yet", "new boxes, not accepted yet"),
         changed === 0 && added.size === 0 && "what is being sent",
       ];
-      return { text: `Not saved: ${what.filter(Boolean).join(", ")}. ${[...new Set(problems)].join(" ")}`.trim() };
+      return {
+        text: `Not saved: ${what.filter(Boolean).join(", ")}. ${[...new Set(problems)].join(" ")}`.trim(),
+        retry: () => Promise.all([...new Set([...drafts.keys(), ...added.keys()])].map(retry)),
+        discard() {
+          forget();
+          if (!stored()) uid = null;
+          notify("frame");
+        },
+      };
     },
 
     /** Calls `fn(what)` after changes. Returns a function that removes this listener. */
@@ -386,13 +395,6 @@ export function createDesk(/** @type {App} */ app) {
 
     /** Saves a box that could not be saved or is not accepted. */
     retry: (id = uid) => retry(id),
-    retryAll: () => Promise.all([...new Set([...drafts.keys(), ...added.keys()])].map(retry)),
-    discardAll() {
-      forget();
-      if (!stored()) uid = null;
-      notify("frame");
-    },
-
     /** Accepts, rejects or deletes a label. */
     async decide(/** @type {"accept" | "reject" | "delete"} */ kind, /** @type {string} */ id) {
       const entry = added.get(id);

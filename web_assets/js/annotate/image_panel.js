@@ -29,13 +29,12 @@ const LEAST_DRAG = 8;
  * @param {HTMLElement} parts.hint the line for what to do.
  */
 export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode, canDraw, nextClass }) {
-  const title = h("h2", { class: "ellipsis" }, "Image");
+  const title = h("h2.ellipsis", "Image");
   const withRejected = h("input", { type: "checkbox", onchange: show, "data-testid": "show-rejected" });
   const byTrack = h("input", { type: "checkbox", onchange: colorAnew, "data-testid": "color-by-track" });
   byTrack.checked = localStorage.getItem("color-by-track") === "true";
-  const body = h("div", { class: "view-body", "data-testid": "image-editor" });
-  const cameras = h("div", {
-    class: "cameras",
+  const body = h("div.view-body", { "data-testid": "image-editor" });
+  const cameras = h("div.cameras", {
     role: "toolbar",
     "aria-label": "Cameras of this moment",
     hidden: true,
@@ -44,11 +43,10 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
   host.append(
     h(
       "header",
-      {},
       title,
-      h("span", { class: "grow" }),
-      h("label", { class: "row", title: "Colour boxes by track, not by state" }, byTrack, "tracks"),
-      h("label", { class: "row" }, withRejected, "rejected"),
+      h("span.grow"),
+      h("label.row", { title: "Colour boxes by track, not by state" }, byTrack, "tracks"),
+      h("label.row", withRejected, "rejected"),
     ),
     body,
     cameras,
@@ -80,7 +78,6 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     newLabel: () => chosen ?? wanted ?? nextClass(),
     onDrag: ({ length }, index) => onDrag(length > items.length && index >= items.length),
     onOverlay: (uid) => (uid === "whole" ? teach().accept() : desk.select(uid)),
-    onEnter: () => false,
     onSelect(index) {
       if (index < 0) teach().release();
       else if (items[index] && !isDashed(index)) teach().open(items[index]);
@@ -175,13 +172,14 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
             .find((one) => one.id === Number(recording))
             ?.name.split("@")
             .at(-1) ?? "";
-        const picture = h("span", { class: "picture" });
+        const picture = h("span.picture");
         if (loader.has(pictureOf(id))) picture.style.backgroundImage = `url("${pictureOf(id)}")`;
-        return button(
-          [picture, h("span", { class: "ellipsis" }, name)],
-          () => app.go(makeHash(project, "annotate", id)),
-          { class: "quiet", title: name, "aria-current": id === frame.id ? "true" : null, "data-key": id },
-        );
+        return button([picture, h("span.ellipsis", name)], () => app.go(makeHash(project, "annotate", id)), {
+          class: "quiet",
+          title: name,
+          "aria-current": id === frame.id ? "true" : null,
+          "data-key": id,
+        });
       }),
     );
   }

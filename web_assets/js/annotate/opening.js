@@ -7,6 +7,8 @@ import { isOpen } from "./desk.js";
 
 /** The frame that was taken from the queue last, with its project; it stays so when the page is loaded again. */
 const FROM_QUEUE = "frame-from-queue";
+/** What is not looked at comes so long after a frame was opened, ms. */
+export const REST_MS = 300;
 
 /**
  * @param {ModeApp} app
@@ -67,6 +69,8 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
         showProblem(null);
       }
       pick(uid, track);
+      // one that was read ahead is read again, when it is shown
+      setTimeout(() => own === openings && desk.refresh().catch(app.toast), REST_MS);
     } catch (error) {
       if (own !== openings || isAborted(error)) return null;
       showProblem(error, id);
@@ -138,9 +142,8 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
     if (frame !== null)
       return open(frame, query.get("uid") ?? queue.items.find((item) => item.frame === frame)?.uid ?? null);
     if (queue.items[0]) return go(queue.items[0], true);
-    /** @type {number} */
     const first = await app.api.get(app.path("first-frame"));
-    return go({ frame: first, uid: null });
+    if (first !== null) return go({ frame: first, uid: null });
   }
 
   return {

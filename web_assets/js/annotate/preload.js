@@ -22,6 +22,13 @@ export function createPreload(/** @type {App} */ app, /** @type {Desk} */ desk, 
    */
   const drawn = new Set();
   let isHeld = false;
+  /** What the browser keeps decoded. @type {HTMLImageElement[]} */
+  let pictures = [];
+
+  function keep(/** @type {string[]} */ urls) {
+    pictures = urls.map((url) => Object.assign(new Image(), { src: url }));
+    for (const picture of pictures) picture.decode().catch(() => {});
+  }
 
   async function start() {
     request?.abort();
@@ -41,18 +48,15 @@ export function createPreload(/** @type {App} */ app, /** @type {Desk} */ desk, 
       const state =
         known && desk.stored(next.uid)?.better_in === null
           ? known
-          : await app.api.get(`${app.path("frames", next.frame)}${next.uid ? `?best_for=${next.uid}` : ""}`, {
-              signal,
-            });
+          : await app.frames.prepare(next.frame, next.uid, { signal });
       const { id } = state.frame;
       const box = state.labels.find(({ uid }) => uid === next.uid)?.box;
-      if (state !== known) show(state.image.url);
+      if (state !== known) keep([state.image.url]);
       if (!box || (ahead && ahead.frame === id && sameBox(ahead.box, box))) return;
       const path = app.path("frames", id, "ortho");
-      /** @type {Api.OrthoView[]} */
       const views = await app.api.post(path, { box, size_px: SIZE_PX }, { signal });
       ahead = { frame: id, box, views };
-      for (const { url } of views) show(url);
+      keep([state.image.url, ...views.map(({ url }) => url)]);
       // the server keeps what it has drawn
       if (state !== known) await app.api.lines(app.path("frames", id, "sheet"), () => {}, { signal });
     } catch {
@@ -98,9 +102,4 @@ export function createPreload(/** @type {App} */ app, /** @type {Desk} */ desk, 
     take: (/** @type {number} */ frame, /** @type {Box3D} */ box) =>
       ahead && ahead.frame === frame && sameBox(ahead.box, box) ? ahead.views : null,
   };
-}
-
-/** Lets the browser keep a picture. */
-function show(/** @type {string} */ url) {
-  new Image().src = url;
 }

@@ -1,5 +1,7 @@
 /** The queue of proposals to review, or of frames to draw on: its order, its filter, and the next item. */
 
+import { withQuery } from "../api.js";
+
 export const ORDERS = [
   ["worst", "Most doubtful first"],
   ["time", "In time order"],
@@ -30,6 +32,8 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
   let sources = {};
   /** @type {QueueItem[]} */
   let items = [];
+  /** Items that were reviewed, for an undo. @type {Map<string | null, QueueItem>} */
+  const reviewed = new Map();
   let remaining = 0;
   /** How often something was chosen, and up to which choice the items are the answer. */
   let [choices, answered] = [0, 0];
@@ -38,11 +42,9 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
   let ended = false;
 
   async function load() {
-    const query = new URLSearchParams({ order, ...(label ? { label } : {}), ...value });
-    if (source) query.set("source", source);
+    const query = { order, ...(label ? { label } : {}), ...value, ...(source ? { source } : {}) };
     const own = choices;
-    /** @type {Api.QueueOut} */
-    const answer = await app.api.get(`${app.path("queue")}?${query}`);
+    const answer = await app.api.get(withQuery(app.path("queue"), query));
     if (ended || own !== choices) return;
     answered = own;
     items = answer.items;
@@ -95,6 +97,7 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
       localStorage.setItem("queue-order", order);
       place = 0;
       choices += 1;
+      reviewed.clear();
       await load();
     },
 
@@ -114,7 +117,7 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
       return others[0] ?? null;
     },
 
-    /** Removes the items that are reviewed in a frame's new state. */
+    /** Removes the items that are reviewed in a frame's new state; those that an undo has opened again come back. */
     settle(/** @type {FrameState} */ frame) {
       if (order === "teach") return this.reloadSoon();
       /** @type {Set<string | null>} */
@@ -124,13 +127,17 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
       const gone = (/** @type {QueueItem} */ item) => moment.has(item.frame) && !open.has(item.uid);
       const before = items.length;
       place -= items.slice(0, place).filter(gone).length;
+      for (const item of items.filter(gone)) reviewed.set(item.uid, item);
       items = items.filter((item) => !gone(item));
-      remaining = Math.max(items.length, remaining - (before - items.length));
       const known = new Set(items.map(({ uid }) => uid));
-      // an undo may restore proposals
+      const back = [...reviewed.values()].filter(({ uid }) => open.has(uid) && !known.has(uid));
+      for (const { uid } of back) reviewed.delete(uid);
+      items = items.toSpliced(place, 0, ...back);
+      remaining = Math.max(items.length, remaining - (before - items.length));
+      // an undo may restore proposals that are not known here
       const comesBack = !this.isFiltered && [...open].some((uid) => !known.has(uid));
       if (comesBack || (items.length < FEW && items.length < remaining)) this.reloadSoon();
-      if (items.length !== before) onChange();
+      if (items.length !== before || back.length > 0) onChange();
     },
 
     reloadSoon() {

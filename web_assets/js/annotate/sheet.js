@@ -72,7 +72,6 @@ export function createSheet(app, { desk, queue, preload, open, next, isFollowed 
 
   /** The boxes of a track that can be shown. */
   async function read(/** @type {number} */ recording, /** @type {number} */ track) {
-    /** @type {Api.TrackBox[]} */
     const boxes = await app.api.get(app.path("recordings", recording, "tracks", track));
     return boxes.filter(({ index, state }) => index !== null && state !== "rejected");
   }
@@ -101,15 +100,12 @@ export function createSheet(app, { desk, queue, preload, open, next, isFollowed 
     let proposals = shown.filter(isOpen);
     /** @type {Map<string, HTMLElement>} */
     const tiles = new Map();
-    const grid = h("div", { class: "sheet", onkeydown: onKey });
-    const note = h("p", { class: "muted", role: "status", "data-testid": "sheet-note" });
+    const grid = h("div.sheet", { onkeydown: onKey });
+    const note = h("p.muted", { role: "status", "data-testid": "sheet-note" });
 
     function tile(/** @type {Api.TrackBox} */ box) {
       return button(
-        [
-          h("img", { alt: "", width: WIDTH, height: HEIGHT, decoding: "async" }),
-          h("span", { class: "ellipsis" }, box.key),
-        ],
+        [h("img", { alt: "", width: WIDTH, height: HEIGHT, decoding: "async" }), h("span.ellipsis", box.key)],
         (event) => (event.ctrlKey || event.metaKey ? correct(box) : toggle(box.uid, event.shiftKey)),
         {
           class: `tile state-${box.state}`,

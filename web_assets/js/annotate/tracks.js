@@ -104,23 +104,23 @@ export function createTracks(
     onChanged,
   },
 ) {
-  const title = h("span", { class: "grow ellipsis" });
-  const all = button(["Sheet", h("kbd", {}, "S")], () => sheet(), {
+  const title = h("span.grow.ellipsis");
+  const all = button(["Sheet", h("kbd", "S")], () => sheet(), {
     title: "All boxes of this track as small pictures, to be accepted together (S)",
     "data-testid": "act-sheet",
   });
   const acts = Object.entries(OPERATIONS).map(([id, { text, key, help }]) =>
-    button([text, key ? h("kbd", {}, key) : null], () => void operate(id), {
+    button([text, key ? h("kbd", key) : null], () => void operate(id), {
       title: help,
       "data-testid": `track-${id}`,
     }),
   );
   const values = acts[Object.keys(OPERATIONS).indexOf("values")];
   const body = h(
-    "div",
-    { class: "track", hidden: true },
-    h("div", { class: "row" }, title, all),
-    h("div", { class: "row", role: "toolbar", "aria-label": "This track" }, acts),
+    "div.track",
+    { hidden: true },
+    h("div.row", title, all),
+    h("div.row", { role: "toolbar", "aria-label": "This track" }, acts),
   );
   host.append(body);
 
@@ -134,7 +134,7 @@ export function createTracks(
     if (!label || id === null) return;
     title.textContent = `Track ${id}`;
     // the colours of tracks are too light for text
-    const dot = h("span", { class: "dot" });
+    const dot = h("span.dot");
     dot.style.background = trackColor(id);
     title.prepend(dot);
     values.hidden = Object.keys(label.attributes).length === 0;
@@ -148,7 +148,6 @@ export function createTracks(
       return app.toast("This box has no track yet. Type a number in its field Track.", "warn");
     try {
       const index = currentFrame(app).frame.index ?? 0;
-      /** @type {Api.TrackBox[]} */
       const boxes = await app.api.get(path(label.track_id));
       const others = boxes.filter(
         (box) => box.index !== null && box.state !== "rejected" && (by > 0 ? box.index > index : box.index < index),
@@ -167,7 +166,6 @@ export function createTracks(
     if (!label || label.isNew) return;
     await desk.flush();
     try {
-      /** @type {Api.CopyNextOut} */
       const done = await desk.change("copy-next", () => ({ uid: label.uid }));
       await open(done);
       const copies = desk.labels().filter(({ uid }) => uid === done.uid);
@@ -208,7 +206,6 @@ export function createTracks(
       const own = asked;
       told = null;
       try {
-        /** @type {Api.OperationOut} */
         const answer = await app.api.post(path(track ?? 0), body());
         if (own === asked) {
           [told, note.textContent] = [answer, `This ${answer.words}.`];
@@ -225,7 +222,7 @@ export function createTracks(
     const done = await openDialog({
       title: `Track ${track}: ${text.replace("…", "")}`,
       testid: "track-operation",
-      content: [h("p", { class: "muted" }, help), ...(field ? [field.root] : []), note],
+      content: [h("p.muted", help), ...(field ? [field.root] : []), note],
       actions: [{ label: text.replace("…", ""), value: "yes", kind: id === "delete" ? "danger" : "primary" }],
       async submit() {
         // nothing happens that was not told before
@@ -256,7 +253,7 @@ function fieldOf(
   /** @type {string} */ digit,
 ) {
   const named = (/** @type {string} */ text, /** @type {HTMLElement} */ input) =>
-    h("label", { class: "field" }, h("span", {}, text), input);
+    h("label.field", h("span", text), input);
   if (id === "merge") {
     const input = h("input", { type: "number", min: 0, step: 1, autofocus: true, "data-testid": "track-other" });
     return {
@@ -278,6 +275,6 @@ function fieldOf(
   }
   if (id !== "fill") return null;
   const box = h("input", { type: "checkbox", "data-testid": "track-refit" });
-  const root = h("label", {}, box, " Fit each box to the points of its frame");
+  const root = h("label", box, " Fit each box to the points of its frame");
   return { root, value: () => ({ refit: box.checked }) };
 }

@@ -29,7 +29,7 @@ export function createValueFilter(
   const low = input("low", "from", "number");
   const high = input("high", "to", "number");
   const contains = input("contains", "contains", "text");
-  const root = h("span", { class: "value-filter" }, select, low, high, contains);
+  const root = h("span.value-filter", select, low, high, contains);
 
   /** @returns {HTMLInputElement} */
   function input(

@@ -105,7 +105,6 @@ export async function chooseBox(labels, changes, error) {
     content: [
       h(
         "p",
-        {},
         `The other box is ${other.state === "proposed" ? "a proposal" : other.state} (${other.label}). An object ` +
           "has one box in a frame: if both are the same object, choose the one that stays; the other one is deleted.",
       ),

@@ -30,7 +30,6 @@ export function mount(root, app, until) {
     clearTimeout(timer);
     again.disabled = true;
     try {
-      /** @type {Api.CheckReport} */
       const report = await app.api.get(app.path("checks"));
       if (until.aborted) return;
       show(report);

@@ -18,7 +18,6 @@ export function matching(/** @type {string[]} */ names, /** @type {string} */ ty
 
 /** The project's classes, those with most boxes first. */
 async function byUse(/** @type {ModeApp} */ app) {
-  /** @type {Api.ClassList} */
   const { classes } = await app.api.get(app.path("classes"));
   return classes.sort((a, b) => b.labels + b.boxes_2d - a.labels - a.boxes_2d).map(({ name }) => name);
 }

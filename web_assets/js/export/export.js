@@ -34,7 +34,6 @@ export function mount(root, app, until) {
 }
 
 async function begin(/** @type {ModeApp} */ app, /** @type {HTMLElement} */ body, /** @type {AbortSignal} */ until) {
-  /** @type {Api.FormatInfo[]} */
   const formats = await app.api.get("/api/export-formats");
   if (until.aborted) return;
   const { classes, recordings } = app.state.project;

@@ -1,6 +1,6 @@
 /** The dialog that imports boxes from a file: 2D boxes, from which 3D boxes are then proposed, or 3D boxes. */
 
-import { newest, projectPath } from "../api.js";
+import { newest, projectPath, withQuery } from "../api.js";
 import { CANCEL, openDialog } from "../dialogs.js";
 import { count, h } from "../dom.js";
 import { checkbox, errorBox, field, select } from "../forms.js";
@@ -31,7 +31,6 @@ export const measuredBy = (/** @type {Api.ProjectInfo} */ { detectors }) =>
  * @returns {Promise<Api.Job | null>}
  */
 export async function importBoxes(app, name) {
-  /** @type {Api.ProjectInfo} */
   const project = await app.api.get(projectPath(name));
   /** @type {Api.BoxesFile | null} */
   let sent = null;
@@ -87,14 +86,14 @@ export async function importBoxes(app, name) {
     if (!chosen) return null;
     if (chosen.size > MOST_BYTES)
       throw new Error("The file has more than 64 MiB, the most that a page may send. Divide it.");
-    return app.api.post(`${projectPath(name, "boxes-files")}?name=${encodeURIComponent(chosen.name)}`, chosen);
+    return app.api.post(withQuery(projectPath(name, "boxes-files"), { name: chosen.name }), chosen);
   }
 
   /** The file, matched with the chosen recording. */
   async function look() {
     const found = await upload;
     if (!found || !recording.value) return found;
-    return app.api.get(`${projectPath(name, "boxes-files", found.id)}?recording=${recording.value}`);
+    return app.api.get(withQuery(projectPath(name, "boxes-files", found.id), { recording: recording.value }));
   }
 
   async function show() {

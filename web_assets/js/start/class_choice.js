@@ -66,7 +66,6 @@ export function createClassChoice(app, { name, classes }, areAdded) {
       const wanted = values.flatMap(([label, value]) => (value === ADD ? [label] : []));
       if (wanted.length) {
         // an earlier try may have added some
-        /** @type {Api.ProjectInfo} */
         const present = await app.api.get(projectPath(name));
         const added = wanted.filter((label) => !present.classes.includes(label));
         if (added.length) await app.api.patch(projectPath(name), { classes: [...present.classes, ...added] });

@@ -156,7 +156,6 @@ export function createRemoved(/** @type {App} */ app, /** @type {() => unknown} 
   return {
     root,
     async load() {
-      /** @type {Api.RemovedProject[]} */
       const removed = await app.api.get("/api/removed-projects");
       root.hidden = removed.length === 0;
       list.replaceChildren(...removed.map(row));

@@ -1,6 +1,6 @@
 /** The dialogs that add recordings to a project, and that point to a moved recording. */
 
-import { newest, projectPath } from "../api.js";
+import { newest, projectPath, withQuery } from "../api.js";
 import { CANCEL, confirm, openDialog } from "../dialogs.js";
 import { bullets, button, count, glyph, h, patch } from "../dom.js";
 import { ApiError, messageOf } from "../errors.js";
@@ -67,7 +67,6 @@ export function addRecordings(/** @type {App} */ app, /** @type {string} */ proj
       done.append(leave);
     };
     try {
-      /** @type {Api.AddedRecordings} */
       const { added, job, note } = await app.api.post(projectPath(project, "recordings"), {
         path: entry.path,
         labels: labels.checked,
@@ -273,8 +272,7 @@ function createFolders(app, { text, testid, onPick }) {
     const isNewest = begin();
     const before = typed.value;
     try {
-      /** @type {Api.FolderListing} */
-      const answer = await app.api.get(`/api/folders?path=${encodeURIComponent(wanted)}`);
+      const answer = await app.api.get(withQuery("/api/folders", { path: wanted }));
       if (!isNewest()) return;
       const { path, here, entries } = answer;
       // what is typed meanwhile stays

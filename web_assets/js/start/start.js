@@ -61,12 +61,12 @@ export function mount(root, app, until) {
   }
 
   async function makeSample() {
-    /** @type {Api.Sample} */
     const { name, job } = await app.api.post("/api/sample-project");
     if (!job) return open(name);
     sample = job.id;
     takeJob(app, job);
-    await refresh();
+    // it may be made already
+    if (!openSample()) await refresh();
   }
 
   function open(/** @type {string} */ name) {
@@ -113,7 +113,6 @@ export function mount(root, app, until) {
     // signed out: the page is loaded again after the next sign-in
     if (!app.state.operator) return;
     try {
-      /** @type {Api.ProjectSummary[]} */
       const projects = await app.api.get("/api/projects");
       await removed.load();
       const menu = list.querySelector(":popover-open");

@@ -1,6 +1,6 @@
 /** The topics of a bag that is to be added: chosen by the server where that is clear, else by the operator. */
 
-import { newest } from "../api.js";
+import { newest, withQuery } from "../api.js";
 import { CANCEL, openDialog } from "../dialogs.js";
 import { count, h } from "../dom.js";
 import { errorBox } from "../forms.js";
@@ -52,9 +52,7 @@ export async function chooseTopics(/** @type {App} */ app, /** @type {Api.Folder
     const isNewest = begin();
     preview.replaceChildren(h("figcaption.muted", "Reading the first frame …"));
     try {
-      const query = new URLSearchParams({ path: entry.path, ...chosen });
-      /** @type {Api.BagPreview} */
-      const answer = await app.api.get(`/api/bags?${query}`);
+      const answer = await app.api.get(withQuery("/api/bags", { path: entry.path, ...chosen }));
       if (!isNewest()) return;
       bag = answer;
       fill(answer, chosen);

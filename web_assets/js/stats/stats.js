@@ -49,7 +49,6 @@ export function mount(root, app, until) {
     timer = undefined;
     const beganMs = performance.now();
     try {
-      /** @type {Api.ReportedStatistics} */
       const known = await app.api.get(app.path("statistics"));
       if (!until.aborted) show(known);
     } catch (error) {

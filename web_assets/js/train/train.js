@@ -53,7 +53,6 @@ export function mount(root, app, until) {
 
   async function load() {
     const { changes } = learning;
-    /** @type {Api.ModelList} */
     const answer = await app.api.get(app.path("models"));
     if (until.aborted) return;
     known = answer;
