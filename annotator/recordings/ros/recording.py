@@ -131,8 +131,9 @@ class RosBag(Recording):
             if len(cloud) == 0:
                 raise ValueError(f"no point of {self.chosen.partner.name} lies in the image, so the cloud is empty")
             time_ns = int(self.pairs.time_ns[i])
-            moment = {"T_world_camera": world, "in_map": in_map}
-            return Frame(key, i, camera.camera, rgb, cloud, depth_m, up, None, time_ns, **moment)
+            return Frame(
+                key, i, camera.camera, rgb, cloud, depth_m, up, None, time_ns, T_world_camera=world, in_map=in_map
+            )
 
     @property
     def pose_source(self) -> str | None:
