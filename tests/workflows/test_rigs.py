@@ -44,6 +44,7 @@ from annotator.workflows.proposing.annotate import AnnotateSummary, Batch
 from annotator.workflows.proposing.tasks import FrameAnswer
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.tracks.copy_next import copy_next
 from annotator.workflows.tracks.link import link_tracks
 from annotator.workflows.tracks.propose_boxes import boxes_of
 from annotator.workflows.training.samples import gather, image_samples
@@ -220,6 +221,17 @@ def test_an_object_that_is_seen_by_one_camera_after_the_other_has_one_track(arou
     assert link_tracks(around).changed == 0
     recording = frames_of(around)["around-270"].recording_id
     assert [(frame.key, label.track_id) for frame, label in boxes_of(around, recording, 1)] == [("0", 1), ("1", 1)]
+
+
+def test_a_proposal_in_the_finalised_frame_of_another_camera_is_not_replaced(around: Project):
+    here, there = frames_of(around)["around-000"], frames_of(around, 1)["around-090"]
+    uid = accept(around, here, car_in(around, here))
+    around.log.append(here.id, [LabelChanged(uid=uid, track_id=1)], WriteContext(1, "maria"))
+    is_open = NewLabel("car", car_in(around, there), track_id=1, state=ReviewState.PROPOSED)
+    around.labels.create(there.id, [is_open], WriteContext(0, "maria"))
+    around.frames.finalise(there.id, WriteContext(1, "maria"))
+    with pytest.raises(ConfigError, match="a proposal is here, in the finalised frame of another camera"):
+        copy_next(around, here.id, uid, 2, "maria")
 
 
 def test_a_camera_that_is_added_later_sees_the_labels_and_a_correction_moves_them_in_it_alone(

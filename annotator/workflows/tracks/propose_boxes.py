@@ -193,7 +193,8 @@ def why_left_out(box: NewLabel, labels: Sequence[StoredLabel]) -> str:
     """Says why `proposal_events` leaves a box out of a frame with these labels."""
     label = blocking(box, labels)
     if label is None:
-        return "a box was rejected here"
+        is_free = bool(_free([box], labels))
+        return "a proposal is here, in the finalised frame of another camera" if is_free else "a box was rejected here"
     if label.state in REVIEWED:
         return "a reviewed box is here already"
     return f"a proposal of track {label.track_id} is here; if it is the same object, give both one track"
