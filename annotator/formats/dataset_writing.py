@@ -81,6 +81,11 @@ class Lost(StrEnum):
         "origin",
         "{frame has|frames have} a place in a map or world; boxes and points were written relative to the camera",
     )
+    UNPOSED = (
+        "unposed",
+        "{frame has|frames have} no pose, in a scene that has poses; boxes and points were written as if the camera "
+        "were at the scene's origin",
+    )
     UNREADABLE = "unreadable", "{frame cannot be read and was|frames cannot be read and were} left out"
 
 

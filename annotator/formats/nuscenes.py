@@ -384,6 +384,8 @@ class NuScenesWriter(DatasetWriter):
         self._shifts_us: dict[Key, int] = {}
         self._starts_us: set[int] = set()
         self._is_level: dict[Key, bool] = {}
+        # of each scene, how many frames have a place in the world, and how many have none
+        self._placed: dict[Key, Counter[bool]] = defaultdict(Counter)
         self.put(MAP_FILE, cv2.imencode(".png", np.zeros((1, 1), np.uint8))[1].tobytes())
 
     def frame(self, item: DatasetItem, frame_id: str) -> None:
@@ -392,6 +394,7 @@ class NuScenesWriter(DatasetWriter):
         if world is not None and not self._is_level.setdefault(key, _has_z_up(frame)):
             self.losses.add(Lost.ORIGIN)
             world = None
+        self._placed[key][world is not None] += 1
         camera, rgb = straightened(frame.camera, frame.rgb)
         files = {
             CAMERA: self.put_image(f"samples/{CAMERA}/{frame_id}", rgb),
@@ -424,6 +427,7 @@ class NuScenesWriter(DatasetWriter):
         self.counts.update(label.label for label in item.labels)
 
     def finish(self) -> None:
+        self.losses.add(Lost.UNPOSED, sum(placed[False] for placed in self._placed.values() if placed[True]))
         for name, rows in self._tables().items():
             self.put(f"{VERSION}/{name}.json", to_json(rows, indent=0) + b"\n")
         splits = defaultdict[str, list[str]](list)

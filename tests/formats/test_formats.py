@@ -155,6 +155,18 @@ def test_a_world_whose_z_is_not_up_is_none_of_nuscenes(tmp_path: Path) -> None:
         np.testing.assert_allclose(recording.frame(0).up, [0, -1, 0], atol=1e-9)  # type: ignore[arg-type]
 
 
+def test_frames_without_a_pose_in_a_scene_of_nuscenes_are_told(tmp_path: Path) -> None:
+    level = RigidTransform.from_rotation(Rotation.from_matrix([[1, 0, 0], [0, 0, 1], [0, -1, 0]]))
+    places = {"a": (PLACE * level, None, None), "b": (None,), "c": (PLACE * level,)}
+    items = [
+        make_item(recording=name, key=f"{name}{n}", index=n, timestamp_ns=None, T_world_camera=T)
+        for name, each in places.items()
+        for n, T in enumerate(each)
+    ]
+    write("nuscenes", tmp_path / "out", items, losses := Losses())
+    assert {loss.kind: loss.count for loss in losses.report()}.get(Lost.UNPOSED) == 2
+
+
 @pytest.mark.parametrize("name", SOLID)
 def test_what_a_format_loses_is_counted(tmp_path: Path, name: str) -> None:
     format, losses, items = FORMATS[name], Losses(), samples(turns("rcv"))
