@@ -253,7 +253,7 @@ def propose(page: Page) -> None:
 def check(page: Page) -> None:
     """Suspicious labels."""
     click(page, "mode-checks")
-    page.get_by_text("checked.").wait_for()
+    page.get_by_test_id("checks-note").get_by_text("checked.").wait_for()
     keep(page, "guide_check")
 
 

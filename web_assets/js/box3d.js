@@ -101,11 +101,7 @@ export function toView(/** @type {Plane} */ view, /** @type {Vector} */ point) {
   return [0, 1].map((i) => (dot(view.axes[i], point) - view.origin_m[i]) / view.metres_per_px);
 }
 
-/**
- * The arrow of a box's heading on a view, px. It ends within the box, where no handle hides it.
- *
- * @returns {Arrow}
- */
+/** The arrow of a box's heading on a view, px. It ends within the box, where no handle hides it. @returns {Arrow} */
 export function viewHeading(/** @type {Plane} */ view, /** @type {Box3D} */ box) {
   const x = boxAxis(box, 0);
   const [from, to] = [0, 0.4].map((share) => toView(view, add(box.center, scale(x, share * box.size[0]))));

@@ -51,19 +51,11 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   const place = { text: "" };
   /** @type {HTMLIFrameElement | null} */
   let frame = null;
-  /**
-   * The open viewport of the server.
-   *
-   * @type {(Api.OpenedViewport & { project: string }) | null}
-   */
+  /** The open viewport of the server. @type {(Api.OpenedViewport & { project: string }) | null} */
   let bench = null;
   /** @type {Wanted | null} */
   let wanted = null;
-  /**
-   * The scene that the server shows.
-   *
-   * @type {Wanted | null}
-   */
+  /** The scene that the server shows. @type {Wanted | null} */
   let last = null;
   let busy = false;
   let isHeld = false;
@@ -297,6 +289,13 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
 
   return {
     show,
+    /** The viewport's id; null before it is open. */
+    get id() {
+      return bench?.id ?? null;
+    },
+    get state() {
+      return state;
+    },
     graphics,
     /** Puts the view into the page, until `detach`. */
     attach(/** @type {HTMLElement} */ host, /** @type {ViewportUser} */ by) {

@@ -141,11 +141,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     set: desk.setValues,
     setClass: (label) => desk.shown !== null && void desk.edit({ label }),
   });
-  /**
-   * The labels before an undo.
-   *
-   * @type {{ frame: number, labels: Map<string, string> } | null}
-   */
+  /** The labels before an undo. @type {{ frame: number, labels: Map<string, string> } | null} */
   let seen = null;
 
   const commands = createCommands(app, {

@@ -20,17 +20,9 @@ export const isOpen = (/** @type {{ state: Api.ReviewState }} */ label) => label
 export function createDesk(/** @type {App} */ app) {
   /** @type {Set<(what: DeskEvent) => unknown>} */
   const listeners = new Set();
-  /**
-   * Drafts by uid, of boxes of the frame `home`.
-   *
-   * @type {Map<string | null, LabelDraft>}
-   */
+  /** Drafts by uid, of boxes of the frame `home`. @type {Map<string | null, LabelDraft>} */
   const drafts = new Map();
-  /**
-   * New boxes by uid, of the same frame.
-   *
-   * @type {Map<string | null, NewLabel>}
-   */
+  /** New boxes by uid, of the same frame. @type {Map<string | null, NewLabel>} */
   const added = new Map();
   let number = 0;
   /** @type {number | null} */
@@ -262,11 +254,7 @@ export function createDesk(/** @type {App} */ app) {
     return draft ? save(id, draft) : Promise.resolve(true);
   }
 
-  /**
-   * A label as shown: with its draft's box, class and track.
-   *
-   * @returns {PageLabel}
-   */
+  /** A label as shown: with its draft's box, class and track. @returns {PageLabel} */
   function seen(/** @type {PageLabel} */ label) {
     const draft = drafts.get(label.uid);
     return draft ? { ...label, ...draft.wanted } : label;

@@ -53,11 +53,7 @@ export function createFields(
   const inputs = {};
   /** @type {Record<string, HTMLElement>} */
   const names = {};
-  /**
-   * The field that is being typed in.
-   *
-   * @type {HTMLInputElement | null}
-   */
+  /** The field that is being typed in. @type {HTMLInputElement | null} */
   let typed = null;
   /** @type {string | null} */
   let shownUid = null;

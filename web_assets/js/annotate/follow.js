@@ -33,11 +33,7 @@ export function createFollow(host, app, desk, { open, onFirst }) {
     list,
   );
   host.append(body);
-  /**
-   * The latest run.
-   *
-   * @type {Api.FollowRunJson | null}
-   */
+  /** The latest run. @type {Api.FollowRunJson | null} */
   let run = null;
   /**
    * The frame where the operator has just begun to follow, and the number of the run once it is known.

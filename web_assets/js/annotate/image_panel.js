@@ -51,17 +51,9 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     body,
     cameras,
   );
-  /**
-   * The class of the box that was asked for; null: none.
-   *
-   * @type {string | null}
-   */
+  /** The class of the box that was asked for; null: none. @type {string | null} */
   let wanted = null;
-  /**
-   * The class that was chosen during the drag.
-   *
-   * @type {string | null}
-   */
+  /** The class that was chosen during the drag. @type {string | null} */
   let chosen = null;
   let isDragging = false;
   let isFitting = false;
@@ -87,11 +79,7 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
       else teach().changeImageBox(items[index], boxes[index], why, actions);
     },
   });
-  /**
-   * The objects of the boxes that are shown.
-   *
-   * @type {Item[]}
-   */
+  /** The objects of the boxes that are shown. @type {Item[]} */
   let items = [];
   let dashed = 0;
   const isDashed = (/** @type {number} */ index) => index >= items.length - dashed && index < items.length;

@@ -143,11 +143,7 @@ function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
   );
   /** @type {Api.OrthoView | null} */
   let view = null;
-  /**
-   * The box before the edit that is in progress.
-   *
-   * @type {Box3D | null}
-   */
+  /** The box before the edit that is in progress. @type {Box3D | null} */
   let start = null;
 
   const color = () => STATE_COLORS[desk.shown?.state ?? "proposed"];

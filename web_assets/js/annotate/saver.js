@@ -75,11 +75,7 @@ export function createSaver(app, desk, { onSaved, onDropped, onBusy }) {
     }
   }
 
-  /**
-   * The state of a change's frame, which the operator may have left.
-   *
-   * @returns {FrameState | Promise<FrameState>}
-   */
+  /** The state of a change's frame, which the operator may have left. @returns {FrameState | Promise<FrameState>} */
   function stateOf(/** @type {number} */ frame) {
     const open = app.state.frame;
     return open?.frame.id === frame ? open : app.api.get(app.path("frames", frame));

@@ -17,11 +17,7 @@ export function createScene(
   /** @type {Api.Gizmo} */
   let gizmo = "off";
   let isDragging = false;
-  /**
-   * A frame that cannot be read; the 3D view shows the reason, too.
-   *
-   * @type {number | null}
-   */
+  /** A frame that cannot be read; the 3D view shows the reason, too. @type {number | null} */
   let broken = null;
   /**
    * The scene that was sent last, with the frame's revision and the time.

@@ -213,11 +213,7 @@ export function createBoxList(
   /** @type {Map<string, string>} */
   let pictures = new Map();
   let known = "";
-  /**
-   * The frame whose rows have pictures.
-   *
-   * @type {number | null}
-   */
+  /** The frame whose rows have pictures. @type {number | null} */
   let pictured = null;
   let request = new AbortController();
   host.replaceChildren(h("header", title), note, list);

@@ -13,11 +13,7 @@ import { currentFrame } from "../frame_state.js";
 /** A copy with fewer points inside stands on nothing. */
 const LEAST_POINTS = 5;
 
-/**
- * What to say about boxes that were copied from the previous frame, and how.
- *
- * @returns {[string, "good" | "warn"]}
- */
+/** What to say about boxes that were copied from the previous frame, and how. @returns {[string, "good" | "warn"]} */
 export function copiedText(/** @type {PageLabel[]} */ copies) {
   const empty = copies.filter(({ points }) => points < LEAST_POINTS);
   const what = `${count(copies.length, "box", "boxes")} copied from the previous frame, to be reviewed.`;
@@ -216,9 +212,12 @@ export function createTracks(
       }
     }
 
-    await tell();
+    let telling = tell();
+    await telling;
     if (!field && told === null) return app.toast(note.textContent, "warn");
-    field?.root.addEventListener("input", () => void tell());
+    field?.root.addEventListener("input", () => {
+      telling = tell();
+    });
     const done = await openDialog({
       title: `Track ${track}: ${text.replace("…", "")}`,
       testid: "track-operation",
@@ -226,7 +225,9 @@ export function createTracks(
       actions: [{ label: text.replace("…", ""), value: "yes", kind: id === "delete" ? "danger" : "primary" }],
       async submit() {
         // nothing happens that was not told before
-        if (told === null) throw new Error(note.textContent);
+        const read = note.textContent;
+        await telling;
+        if (told === null || note.textContent !== read) throw new Error(note.textContent);
         const sent = { ...body(), told: told.count };
         app.effort.action();
         return desk.enqueue(() => app.api.change(path(track), sent));

@@ -8,17 +8,9 @@ export function createValueFilter(
   /** @type {ModeApp} */ app,
   /** @type {(query: import("./queue.js").ValueQuery) => unknown} */ onChange,
 ) {
-  /**
-   * The attribute of each option that is typed, by the option's value.
-   *
-   * @type {Map<string, Attribute>}
-   */
+  /** The attribute of each option that is typed, by the option's value. @type {Map<string, Attribute>} */
   let typed = new Map();
-  /**
-   * What each option asks, by its value.
-   *
-   * @type {Map<string, import("./queue.js").ValueQuery>}
-   */
+  /** What each option asks, by its value. @type {Map<string, import("./queue.js").ValueQuery>} */
   let queries = new Map();
   /** @type {HTMLSelectElement} */
   const select = h("select", {

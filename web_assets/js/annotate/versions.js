@@ -63,11 +63,7 @@ async function sendAgain(
   return app.api.change(app.path("frames", theirs.frame.id, "changes"), body);
 }
 
-/**
- * The change that adds an edited box again, as a new one, after others have deleted it.
- *
- * @returns {Change}
- */
+/** The change that adds an edited box again, as a new one, after others have deleted it. @returns {Change} */
 const asNew = (/** @type {Change} */ { label, box, track_id }) => ({ kind: "create", label, box, track_id });
 
 /** @returns {Mine} */

@@ -52,6 +52,8 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
   const picture = { width: 0, height: 0 };
   const size = { width: 0, height: 0, border: 0 };
   const view = createView(picture, size);
+  /** What comes late, as an answer of the server, is not drawn. */
+  let isOver = false;
 
   function redraw() {
     drawn ||= requestAnimationFrame(draw);
@@ -59,6 +61,7 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
 
   function draw() {
     drawn = 0;
+    if (isOver) return;
     image.style.width = `${picture.width}px`;
     image.style.height = `${picture.height}px`;
     image.style.transform = `translate(${view.offset[0]}px, ${view.offset[1]}px) scale(${view.scale})`;
@@ -355,6 +358,7 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
       pointers.stop();
       watcher.disconnect();
       cancelAnimationFrame(drawn);
+      isOver = true;
       root.remove();
     },
   };

@@ -354,11 +354,7 @@ export function mountTimeline(/** @type {HTMLElement} */ root, /** @type {App} *
   show();
 }
 
-/**
- * The first and last place of a selected part of a track.
- *
- * @returns {[number, number]}
- */
+/** The first and last place of a selected part of a track. @returns {[number, number]} */
 const partOf = (/** @type {NonNullable<StateValues["span"]>} */ { from, to }, /** @type {Timeline} */ { places }) => [
   places.get(from) ?? 0,
   places.get(to) ?? 0,
