@@ -215,13 +215,18 @@ def fill(
     Args:
         refit: fit every new box to the points of its frame, with the pseudo-view detector if it is trained.
     """
+    # a detector that is broken is told before anything is stored
+    view = ready_view(project) if refit and not span.dry_run else None
     done = _operate(project, recording, track, operations.Fill, span, refit=refit)
     if refit and not span.dry_run:
         source = FrameSource(project)
-        fit = box_fitter(project, lambda frame: OpenFrame(source.read(frame)), ready_view(project))
+        fit = box_fitter(project, lambda frame: OpenFrame(source.read(frame)), view)
         with counted("fit") as progress:
             fitted = RefitRun(project, done, OPERATION_AUTHOR, fit).run(lambda now: progress(now.done, now.total))
-        print_line(f"track {track}: fits {amount(fitted.tracks[0].boxes, 'box')} to the points")
+        (item,) = fitted.tracks
+        print_line(f"track {track}: fits {amount(item.boxes, 'box')} to the points")
+        for stop in item.stops:
+            print_line(f"  not in frame {stop.key}: {stop.reason}")
 
 
 def _operate(

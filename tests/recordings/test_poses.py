@@ -40,6 +40,7 @@ def require_said(recording: Recording) -> None:
     for i in range(len(recording)):
         pose, frame = recording.pose(i), recording.frame(i)
         assert pose is not None and frame.T_world_camera is not None
+        assert frame.in_map == (recording.pose_source is None)
         np.testing.assert_allclose(frame.T_world_camera.as_matrix(), pose.as_matrix(), atol=1e-9)
 
 
@@ -385,6 +386,7 @@ def test_clouds_in_a_map_need_no_poses(tmp_path: Path):
     np.save(tmp_path / "0.npy", rows)
     recording = open_recording(tmp_path)
     require_said(recording)
+    require_said(open_recording(tmp_path, ReaderOptions(look_around=4, camera="around-090")))
     assert recording.pose_source is None and survey_poses(recording) is None
 
 
