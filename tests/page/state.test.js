@@ -268,6 +268,38 @@ test("another track is no new review of the box, and a box that others have dele
   assert.equal(desk.uid, null);
 });
 
+test("a draft of a box that others have changed meanwhile is sent as one of the older version, so that one is asked", async () => {
+  const sent = [];
+  const stored = (box, label = "person") => [{ uid: "a", label, box, track_id: null }];
+  const { app, desk } = deskOf(async (_, { revision, changes: [{ box }] }) => {
+    sent.push(revision);
+    return frameState(revision + 1, stored(box));
+  });
+  const see = (revision, box, label) => {
+    app.state.frame = frameState(revision, stored(box, label));
+    desk.settle();
+  };
+  desk.preview({ box: LONGER });
+  see(4, BOX);
+  await desk.commit();
+  assert.deepEqual(sent, [4], "another box was changed");
+  desk.preview({ box: BOX });
+  see(6, { ...BOX, size: [3, 1, 1] });
+  await desk.commit();
+  assert.deepEqual(sent, [4, 5], "this one was");
+  // the page's own saving, and a class with another name, are no other version
+  desk.preview({ box: LONGER });
+  const first = desk.commit();
+  desk.preview({ box: { ...BOX, size: [4, 1, 1] } });
+  await Promise.all([first, desk.commit()]);
+  assert.deepEqual(sent, [4, 5, 6, 7]);
+  desk.preview({ box: BOX });
+  desk.rename({ person: "human" });
+  see(9, { ...BOX, size: [4, 1, 1] }, "human");
+  await desk.commit();
+  assert.equal(sent.at(-1), 9);
+});
+
 // -- other things that are waited for
 
 test("nothing is loaded ahead while a sheet is open", async () => {
