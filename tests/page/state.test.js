@@ -216,7 +216,7 @@ test("a draft that could not be saved is kept with its reason until it is saved 
   let isRefused = true;
   const { app, desk } = deskOf(async (_, { changes: [{ box }] }) => {
     if (isRefused) throw new ApiError(0, "", "The server does not respond");
-    return frameState(4, [{ uid: "a", label: "person", box, track_id: null }]);
+    return { ...frameState(4, [{ uid: "a", label: "person", box, track_id: null }]), moved: 2 };
   });
   assert.equal(await desk.edit({ box: LONGER }), false);
   desk.select(null);
@@ -226,6 +226,7 @@ test("a draft that could not be saved is kept with its reason until it is saved 
   assert.equal(await desk.retry("a"), true);
   assert.equal(desk.unsaved, null);
   assert.deepEqual(app.state.frame.labels[0].box.size, LONGER.size);
+  assert.equal(app.told.at(-1), "2 unreviewed boxes of the track moved along.");
   isRefused = true;
   desk.select("a");
   await desk.edit({ box: BOX });
