@@ -143,7 +143,8 @@ def frame_of(row: AnyRow) -> StoredFrame:
 def numbers_of(connection: Connection, frame_ids: Collection[int]) -> dict[int, int]:
     """What the page calls each frame: its number, from 1, among those that its recording's latest scan has found.
 
-    Frames that it has not found are left out.
+    Frames that it has not found are left out. `frame_ids`: of a page, not of a whole project, since each is a parameter
+    of the query.
     """
     wanted = select(frames.c.id, frames.c.recording_id, frames.c.position)
     wanted = wanted.where(frames.c.id.in_(frame_ids), frames.c.position.is_not(None))
