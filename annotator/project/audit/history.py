@@ -41,6 +41,7 @@ from annotator.project.classes.changing import BATCH, FOLLOWED, require_consiste
 from annotator.project.classes.changing import KIND as CLASSES_CHANGED
 from annotator.project.database.schema import events, frames, recordings
 from annotator.project.database.store import driver_of
+from annotator.project.frames import numbers_of
 from annotator.project.log import Writer, new_action, require_writable
 from annotator.project.recordings import removed_recordings
 from annotator.project.rows import Row, Terms, box_2d_of, said_with, stored_said, values_json, values_of
@@ -121,7 +122,7 @@ class Reverted:
 
     Attributes:
         frame_id: the frame; for several frames, the first one of the action; None for a change of the classes.
-        words: description of the action, such as "accept person (frame 000012)", and the attributes of which values
+        words: description of the action, such as "accept person (frame 13)", and the attributes of which values
             could not be restored, because the project no longer allows these.
         original: the operator's original action.
     """
@@ -483,14 +484,19 @@ def _class_of(connection: Connection, row: RowChange, event: Event) -> str:
 
 
 def _description(connection: Connection, step: Step) -> str:
-    """Description of an action, such as "accept person (frame 000012)" or "delete 3 labels (frame 000012)"."""
+    """Description of an action, such as "accept person (frame 13)" or "delete 3 labels (frame 13)".
+
+    Frames are numbered from 1, as on the page; one that its recording no longer has is named by its key.
+    """
     rows = connection.execute(_NAMED, {"action": step.original}).all()
     made, keys = [event_of(row) for row in rows], [row.key for row in rows]
     first, last = made[0], made[-1]
     if first.view_id == CLASSES or first.kind == ADJUSTED:
         return first.effort_target or "change"
     is_one = first.frame_id == last.frame_id
-    where = f"frame {keys[0]}" if is_one else f"frames {keys[0]} to {keys[-1]}"
+    known = numbers_of(connection, {each.frame_id for each in (first, last) if each.frame_id is not None})
+    start, end = (known.get(each.frame_id or 0, key) for each, key in ((first, keys[0]), (last, keys[-1])))
+    where = f"frame {start}" if is_one else f"frames {start} to {end}"
     kinds = {event.kind for event in made}
     if first.source is Source.IMPORTED:
         what = f"boxes of {first.effort_target}" if first.kind == IMPORTED else ""
