@@ -5,8 +5,10 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from annotator.files import why_missing
 from annotator.formats.nuscenes import is_seen
@@ -132,4 +134,16 @@ def shared_clouds(recording: Recording) -> dict[str, SharedCloud]:
         for index, key in enumerate(recording.keys):
             with suppress(FrameError):
                 found[key] = SharedCloud(recording.moment(index), recording.T_rig_camera(index))
+    return found
+
+
+def recorded_poses(recording: Recording) -> dict[str, RigidTransform]:
+    """Where the camera of each frame was, `T_world_camera`, by the frame's key; without those that are not known."""
+    found: dict[str, RigidTransform] = {}
+    read: Any = getattr(recording, "pose", None)
+    if read is not None:
+        for index, key in enumerate(recording.keys):
+            with suppress(RecordingError):
+                if (pose := read(index)) is not None:
+                    found[key] = pose
     return found

@@ -428,7 +428,8 @@ def _ends_from(timeline: Timeline, frame_id: int, label: Label, forward: bool) -
 def _reviewed(timeline: Timeline, tracks: Collection[int] | None) -> list[list[KeyFrame]]:
     """Returns the reviewed boxes of each object, in order; each box without a track is an object."""
     stored = timeline.project.labels.select(states=REVIEWED, recordings=[timeline.recording_id])
-    present = [each for each in stored if each.frame_id in timeline.index]
+    # an object that stands still has its boxes
+    present = [each for each in stored if each.frame_id in timeline.index and each.still is None]
     known = {each.label.track_id for each in present if each.label.track_id is not None}
     if tracks is not None and (missing := set(tracks) - known):
         raise ConfigError(f"track {min(missing)} has no reviewed box to follow; accept one first")

@@ -38,7 +38,7 @@ def moved_along(project: Project, frame: StoredFrame, stored: StoredLabel, now: 
     was = stored.label.box
     if stored.label.track_id is None or stored.label.state is ReviewState.REJECTED or frame.index is None:
         return []
-    if same_box(was, now) or not project.recordings.get(frame.recording_id).is_sequence:
+    if same_box(was, now) or stored.still is not None or not project.recordings.get(frame.recording_id).is_sequence:
         return []
     moved: Moved = []
     for boxes, end in _sides(project, frame, stored):
