@@ -340,8 +340,8 @@ _VALUES_SET = LABELS_OF_MOMENT.where(labels.c.values_set.is_(True))
 
 def _first_sightings(label: str | None, recording: int | None) -> Select[Any]:
     """Query for the uid of the first label of each reviewed still object, the newest object first."""
-    first = select(func.min(sightings.c.id)).where(sightings.c.still == stills.c.uid, sightings.c.seen)
-    uid = select(sightings.c.uid).where(sightings.c.id == first.scalar_subquery()).scalar_subquery().label("uid")
+    seen = select(sightings.c.uid).where(sightings.c.still == stills.c.uid, sightings.c.seen)
+    uid = seen.order_by(sightings.c.id).limit(1).scalar_subquery().label("uid")
     query = select(uid).where(stills.c.box_kind == BoxKind.BOX.value, stills.c.state.in_(REVIEWED))
     if label is not None:
         query = query.join(classes, classes.c.id == stills.c.class_id).where(classes.c.name == label)

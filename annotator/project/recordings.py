@@ -19,7 +19,6 @@ from annotator.project.adjusting import adjustment_in, unit_up
 from annotator.project.audit.events import hide_removed
 from annotator.project.database.schema import ALL_LABELS, AnyRow, adjustments, frames, recordings
 from annotator.project.database.store import Store
-from annotator.project.rows import transform_of
 from annotator.text import is_within
 from annotator.types import NO_CORRECTION, Correction, ReviewState
 from annotator.types.errors import NotFoundError, ProjectError, RecordingError
@@ -483,7 +482,7 @@ def _place_in_world(connection: Connection, recording_id: int, poses: Poses) -> 
     changed = list[dict[str, Any]]()
     for row in connection.execute(query).all():
         if (T := poses.get(row.key)) is not None and row.pose is not None:
-            T = T * transform_of(row.pose).inv()
+            T = T * RigidTransform.from_matrix(json.loads(row.pose)).inv()
         world = None if T is None else json.dumps(T.as_matrix().tolist())
         if world != row.world:
             changed.append({"of_frame": row.id, "new_world": world})

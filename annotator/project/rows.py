@@ -10,6 +10,8 @@ from dataclasses import replace
 from functools import cached_property, lru_cache, partial
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 from sqlalchemy import Connection
 
@@ -30,6 +32,8 @@ Place = tuple[str | None, str | None, str | None]
 """Correction and pose of a frame's camera, as they are stored; None = it does not move the boxes of the cloud. And the
 pose of the cloud in the world; None = not known, or not needed."""
 AT_CAMERA: Place = (None, None, None)
+# What only the JSON of a `WorldBox` has.
+_IN_WORLD = '"in_world"'
 
 
 @lru_cache(maxsize=1024)
@@ -39,31 +43,35 @@ def T_camera_cloud(place: Place) -> RigidTransform | None:
     T = None if correction is None else moving(correction)
     if pose is None:
         return T
-    T_recorded_cloud = transform_of(pose).inv()
+    T_recorded_cloud = parsed(lambda text: RigidTransform.from_matrix(json.loads(text)), pose).inv()
     return T_recorded_cloud if T is None else T * T_recorded_cloud
 
 
-@lru_cache(maxsize=1024)
-def T_camera_world(place: Place) -> RigidTransform:
-    """From the frame of the world to that of the camera.
+@lru_cache(maxsize=8192)
+def camera_world(place: Place) -> Float64[np.ndarray, "4 4"]:
+    """The matrix of the transform from the frame of the world to that of the camera.
+
+    Plain numpy, since a still object may have labels in thousands of frames, and a `RigidTransform` takes ten times as
+    long.
 
     Raises:
         ProjectError: the moment has no pose.
     """
-    if place[2] is None:
+    if (world := place[2]) is None:
         raise ProjectError("the recording does not say where its camera was at this moment")
-    T_cloud_world, T = transform_of(place[2]).inv(), T_camera_cloud(place)
-    return T_cloud_world if T is None else T * T_cloud_world
+    T_world_cloud = parsed(lambda text: np.array(json.loads(text), np.float64).reshape(4, 4), world)
+    inverse, turn = np.eye(4), T_world_cloud[:3, :3].T
+    inverse[:3, :3], inverse[:3, 3] = turn, -turn @ T_world_cloud[:3, 3]
+    T = T_camera_cloud(place)
+    return inverse if T is None else T.as_matrix() @ inverse
 
 
-def transform_of(content: str) -> RigidTransform:
-    """A stored matrix of 4 x 4."""
-    return parsed(lambda text: RigidTransform.from_matrix(json.loads(text)), content)
-
-
-def T_camera_stored(content: str, place: Place) -> RigidTransform | None:
+def T_camera_stored(content: str, place: Place) -> Float64[np.ndarray, "4 4"] | None:
     """From the frame in which a 3D box is stored, the cloud's or the world, to that of the camera; None: the same."""
-    return T_camera_world(place) if '"in_world"' in content else T_camera_cloud(place)
+    if _IN_WORLD in content:
+        return camera_world(place)
+    T = T_camera_cloud(place)
+    return None if T is None else T.as_matrix()
 
 
 def _style(colour: str | None, key: str | None, still: int | None) -> ClassStyle:
@@ -161,7 +169,7 @@ class Terms:
 
     def T_camera_world(self, frame_id: int | None) -> RigidTransform:
         """From the frame of the world to that of a frame's camera."""
-        return T_camera_world(self.place(frame_id, in_world=True))
+        return RigidTransform.from_matrix(camera_world(self.place(frame_id, in_world=True)))
 
     def T_camera_cloud(self, frame_id: int | None) -> RigidTransform | None:
         """From the frame in which a frame's boxes are stored to that of the camera; None if they are the same."""
@@ -223,9 +231,17 @@ class Terms:
 @lru_cache(maxsize=4096)
 def box_of(content: str, place: Place) -> OrientedBox:
     """A stored box. A page reads all boxes of its frame again after each change of one."""
-    T = T_camera_stored(content, place)
-    box = parsed((BoxRecord if '"in_world"' not in content else WorldBox).model_validate_json, content).box()
+    if _IN_WORLD in content:
+        box = world_box(content)
+        return OrientedBox(camera_world(place) @ box.pose, box.size_m)
+    box, T = parsed(BoxRecord.model_validate_json, content).box(), T_camera_cloud(place)
     return box if T is None else box.transformed(T)
+
+
+@lru_cache(maxsize=256)
+def world_box(content: str) -> OrientedBox:
+    """The stored box of an object that stands still, in the frame of the world."""
+    return parsed(WorldBox.model_validate_json, content).box()
 
 
 def box_2d_of(content: str | None, names: Names) -> Box2D | None:

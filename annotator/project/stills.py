@@ -20,8 +20,7 @@ from annotator.project.database.store import driver_of
 from annotator.project.frames import FRAME_COLUMNS, StoredFrame
 from annotator.project.log import FramePart, Writer, new_action
 from annotator.project.recordings import of_rig
-from annotator.project.records import WorldBox, parsed
-from annotator.project.rows import Terms
+from annotator.project.rows import Terms, world_box
 from annotator.types import OrientedBox, ReviewState
 
 _MOMENTS = frames.alias()
@@ -89,7 +88,7 @@ class Stills:
                     row.track_id,
                     names[row.class_id],
                     ReviewState(row.state),
-                    parsed(WorldBox.model_validate_json, row.box).box(),
+                    world_box(row.box),
                 )
                 for row in found
             )

@@ -199,7 +199,7 @@ def read_reviewed(connection: Connection, log: ActionLog) -> list[ReviewedBox]:
             ReviewedBox(
                 frame_id=row.frame_id,
                 label=row.label,
-                range_m=math.hypot(*(row[-3:] if T is None else T.apply(row[-3:]))),
+                range_m=math.hypot(*(row[-3:] if T is None else T[:3, :3] @ row[-3:] + T[:3, 3])),
                 is_rejected=is_rejected,
                 was_proposed=is_same is not None or row.proposed_box is not None,
                 origin=None if is_rejected else _origin(row, is_same),
