@@ -111,9 +111,10 @@ class Desk:
     def open_labels(self, frame: StoredFrame) -> list[Label]:
         return [label for label in self.labels(frame) if label.state is ReviewState.PROPOSED]
 
-    def store(self, frame: StoredFrame, payloads: list[Payload]) -> None:
+    def store(self, frame: StoredFrame, payloads: list[Payload]) -> int:
+        """Stores changes; returns how many open boxes have moved along."""
         context = WriteContext(self.project.frames.get(frame.id).revision, AUTHOR, effort=Effort(0, 0.0))
-        apply_changes(self.project, frame.id, payloads, context, lambda: self.open(frame))
+        return apply_changes(self.project, frame.id, payloads, context, lambda: self.open(frame))
 
     def enter(self, frame: StoredFrame) -> None:
         """Opens the next frame, which the server has read ahead while the operator was busy with the one before."""

@@ -5,8 +5,8 @@ Each action calls the functions that the page's requests call, and is stored in 
   each picture of a contact sheet;
 - looks at the small pictures of all boxes of a frame, corrects the wrong ones, and accepts the others with one key;
 - drags with an error of `error_px` pixels of the picture, looks again, and corrects what is not good enough yet;
-- cannot foresee what "Fit again", a new box on the image, following a corrected box, or correcting the later ones alike
-  will give, and tries them when that pays on average, by how often they have helped so far.
+- cannot foresee what "Fit again", a new box on the image, or following a corrected box will give, and tries them when
+  that pays on average, by how often they have helped so far.
 - waits for what the page has not loaded before: it loads the frame and the pictures of the queue's next box while the
   operator is busy with this one.
 
@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -27,7 +27,7 @@ from annotator.geometry.iou import iou_3d, iou_3d_matrix
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
 from annotator.image_bytes import encoded_image
-from annotator.project import REVIEWED, Effort, Origin, Project, StoredFrame
+from annotator.project import REVIEWED, Origin, Project, StoredFrame
 from annotator.project.changes import LabelChanged, NewLabel
 from annotator.project.records import BoxRecord
 from annotator.rcv.known_objects import draw_object
@@ -35,7 +35,6 @@ from annotator.rcv.teach import project_box
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, PseudoView, ReviewState
 from annotator.types.errors import ConfigError
 from annotator.workflows.tracks.follow_run import follow_from_frame
-from annotator.workflows.tracks.key_frames import carry_correction
 from annotator.workflows.training.held_out import inaccurate
 from annotator.workflows.workbench.contact_sheet import picture
 from annotator.workflows.workbench.drawing_steps import frame_config, label_config, label_steps
@@ -174,10 +173,10 @@ class Operator:
         self.desk = Desk(project, frames, quality)
         self._corrections = Corrections(self.desk, error_px, np.random.default_rng(seed))
         self._on_sheets: set[int] = set()
-        # tracks whose sheet was left to correct a box: it comes back when that is followed, or the later ones corrected
+        # tracks whose sheet was left to correct a box: it comes back when that is followed
         self._left_sheets: set[int] = set()
-        # uids of boxes that a key has made, by what it did
-        self._made: dict[str, set[str]] = {"follow": set(), "alike": set()}
+        # uids of boxes that following has made
+        self._made: set[str] = set()
         self._right: Counter[object] = Counter()
         self._seen: Counter[object] = Counter()
 
@@ -309,56 +308,39 @@ class Operator:
             self.desk.store(frame, [LabelChanged(uid=label.uid, state=ReviewState.ACCEPTED)])
         else:
             # the page saves a correction by itself
-            self.desk.store(
-                frame, [LabelChanged(uid=label.uid, state=ReviewState.EDITED, label=thing.label, box=BoxRecord.of(box))]
-            )
-            has_moved = not was_right and self._help_later(frame, label, bill)
+            edit = LabelChanged(uid=label.uid, state=ReviewState.EDITED, label=thing.label, box=BoxRecord.of(box))
+            moved = self.desk.store(frame, [edit])
+            has_moved = not was_right and self._help_later(frame, label, moved, bill)
             if moves_on and not has_moved:
                 bill.act("accept", KEY_S)
         return iou_3d(box, thing.box) >= self.desk.quality
 
     def _count(self, label: Label, is_right: bool) -> None:
-        """Remembers how often proposals of a track were right, and those that a key has made."""
-        for what in (label.track_id, *(key for key, uids in self._made.items() if label.uid in uids)):
+        """Remembers how often proposals of a track were right, and those that following has made."""
+        for what in (label.track_id, *(["follow"] if label.uid in self._made else [])):
             self._seen[what] += 1
             self._right[what] += is_right
 
-    def _help_later(self, frame: StoredFrame, label: Label, bill: Bill) -> bool:
-        """Replaces the later proposals of a corrected box's track with the key that has helped most, if one helps.
+    def _help_later(self, frame: StoredFrame, label: Label, moved: int, bill: Bill) -> bool:
+        """Follows a corrected box, in place of the later proposals of its track, if that promises to help more than
+        that `moved` of these were corrected with it.
 
         Returns whether the page has gone on to the next box.
         """
         if not self._has_later(frame, label) or label.track_id is None:
             return False
-        made_by = next((key for key, uids in self._made.items() if label.uid in uids), None)
-        # one key: worth a try; what it made before drifts, or was corrected too far: begin anew
-        chances = {key: (self._right[key] + OPTIMISM) / (self._seen[key] + OPTIMISM) for key in self._made}
-        key = max(chances, key=lambda key: (round(chances[key], 6), -self.desk.waits[key]))
+        chance = (self._right["follow"] + OPTIMISM) / (self._seen["follow"] + OPTIMISM)
         own = (self._right[label.track_id] + 1) / (self._seen[label.track_id] + 2)
-        if made_by is None and chances[key] <= own:
-            return False
-        helped = self._follow(frame, label.uid, bill) if key == "follow" else self._correct_alike(frame, label, bill)
+        # one key: worth a try; what it made before drifts: begin anew
+        helped = (label.uid in self._made or (chance > own and not moved)) and self._follow(frame, label.uid, bill)
         if helped and label.track_id in self._left_sheets:
             # the page shows the sheet again
             self._use_sheet(label.track_id, frame, is_back=True)
-            return True
-        return helped and key == "follow"
+        return helped
 
     def _has_later(self, frame: StoredFrame, label: Label) -> bool:
         """Whether it pays to help the later proposals of a box's track."""
         return label.track_id is not None and len(self._shown(label.track_id, frame)) >= FOLLOW_FROM
-
-    def _correct_alike(self, frame: StoredFrame, label: Label, bill: Bill) -> bool:
-        """Corrects the later proposals of a track like a box, given as it was; returns False if there is none."""
-        bill.act("alike", KEY_S)
-
-        def run() -> float:
-            revision = self.desk.project.frames.get(frame.id).revision
-            begin = time.perf_counter()
-            carry_correction(self.desk.project, frame.id, label.uid, revision, label.box, AUTHOR, effort=Effort(0, 0.0))
-            return time.perf_counter() - begin
-
-        return self._replace_later("alike", bill, run)
 
     def _draw_missing(self, frame: StoredFrame, thing: Thing) -> None:
         """Draws an object, and follows it if the recording has later frames."""
@@ -393,19 +375,14 @@ class Operator:
             later = pairwise(times_s)
             return times_s[0] + sum(max(0.0, after - before - (M + KEY_S)) for before, after in later)
 
-        return self._replace_later("follow", bill, run)
-
-    def _replace_later(self, key: str, bill: Bill, run: Callable[[], float]) -> bool:
-        """Waits for a key's work as long as `run` returns, and remembers which boxes it made; returns False if there is
-        nothing to do."""
         before = {label.uid for _, label in self._all_open()}
         try:
-            self.desk.waits[key] = run()
+            self.desk.waits["follow"] = run()
         except ConfigError:
             return False  # there is no later box: the page says so
-        bill.waiting_s += self.desk.waits[key]
+        bill.waiting_s += self.desk.waits["follow"]
         new = [label for _, label in self._all_open() if label.uid not in before]
-        self._made[key] |= {label.uid for label in new}
+        self._made |= {label.uid for label in new}
         self._on_sheets -= {label.track_id for label in new if label.track_id is not None}
         return True
 
@@ -444,7 +421,7 @@ class Operator:
                 self.desk.store(frame, [LabelChanged(uid=label.uid, state=ReviewState.ACCEPTED)])
                 continue
             is_last = place + 1 == len(verdicts)
-            if is_last or (label.uid in self._made["follow"] and verdicts[place + 1][2] is None):
+            if is_last or (label.uid in self._made and verdicts[place + 1][2] is None):
                 # it drifted, or no other comes: one click (Ctrl) accepts what is before it, and opens it
                 bill.act("correct from here", SHIFT_CLICK_S)
                 bill.looks += not is_last

@@ -96,9 +96,10 @@ def percentile(values: Sequence[float], percent: float) -> float:
 
 # The operator's waiting times, measured in a real browser from the key or mouse event to the new content on screen.
 #
-# A probe in the page checks at each animation frame which images the editors show. For the 3D view it detects when the
-# points of another cloud are uploaded to WebGL and drawn. It then reads one pixel, which blocks until the drawing is
-# done, and takes the time. (Reading pixels at every animation frame would take longer than the measured operation.)
+# A probe in the page checks at each animation frame which pictures, boxes and rows are there. For the 3D view it
+# detects when the points of another cloud are uploaded to WebGL and drawn. It then reads one pixel, which blocks until
+# the drawing is done, and takes the time. (Reading pixels at every animation frame would take longer than the measured
+# operation.)
 
 
 # Render as on a computer without a graphics card: WebGL in software, and the page itself without GL.
@@ -117,29 +118,32 @@ WATCH_S, QUIET_S = 8.0, 1.5
 # A buffer of at least this size is a point cloud; lines and arrows are smaller.
 CLOUD_BYTES = 30_000
 
-# Measures from the next `trigger` event: the images of the selector, and optionally the 3D view.
+# Measures from the next `trigger` event until the last change of what the selector finds (pictures by their addresses,
+# all else by what it shows), and optionally of the 3D view.
 PROBE = """([trigger, selector, is_view_watched, quiet_ms, longest_ms]) => {
-  const pictures = () => [...document.querySelectorAll(selector)].map((i) => (i.complete ? i.src : "")).join(" ");
-  let seen = pictures();
-  const at = { begin: null, picture: null, view: null };
+  const name = ({ src, complete, dataset }) =>
+    src === undefined ? (dataset.id ?? dataset.uid ?? dataset.shown) : complete ? src : "";
+  const content = () => [...document.querySelectorAll(selector)].map(name).join(" ");
+  let seen = content();
+  const at = { begin: null, page: null, view: null };
   window.measured = null;
   window.began[trigger] = null;
   window.cloud = { drawn: null, last: null };
   const tick = () => {
     const now = performance.now();
     at.begin = window.began[trigger];
-    const picture = pictures();
+    const found = content();
     if (at.begin !== null) {
-      if (picture !== seen) at.picture = now;
+      if (found !== seen) at.page = now;
       if (is_view_watched && window.cloud.drawn > at.begin) at.view ??= now;
-      const last = Math.max(at.picture ?? at.begin, is_view_watched ? window.cloud.last ?? at.begin : at.begin);
-      const is_done = at.picture !== null && (at.view !== null || !is_view_watched) && now - last > quiet_ms;
+      const last = Math.max(at.page ?? at.begin, is_view_watched ? window.cloud.last ?? at.begin : at.begin);
+      const is_done = at.page !== null && (at.view !== null || !is_view_watched) && now - last > quiet_ms;
       if (is_done || now - at.begin > longest_ms) {
-        window.measured = { picture: at.picture && at.picture - at.begin, view: at.view && at.view - at.begin };
+        window.measured = { page: at.page && at.page - at.begin, view: at.view && at.view - at.begin };
         return;
       }
     }
-    seen = picture;
+    seen = found;
     requestAnimationFrame(tick);
   };
   requestAnimationFrame(tick);
@@ -215,9 +219,10 @@ def signed_in(browser: Browser, server: Server, operator: str = "Ada") -> Page:
     return page
 
 
-def open_frame(page: Page, project: str, frame: int) -> None:
-    """Opens a frame in Annotate; waits for the image and the 3D view."""
-    page.goto(f"/#/{project}/annotate/{frame}")
+def open_frame(page: Page, project: str, frame: int | None, uid: str = "") -> None:
+    """Opens a frame in Annotate (None: the queue's first one), with a label selected; waits for image and 3D view."""
+    place = "" if frame is None else f"/{frame}" + (f"?uid={uid}" if uid else "")
+    page.goto(f"/#/{project}/annotate{place}")
     page.reload()
     until(page, "document.querySelector('[data-testid=viewport]')?.dataset.state === 'ready'", OPENS_WITHIN_S)
     until(page, "document.querySelector('img.picture')?.complete", OPENS_WITHIN_S)
@@ -239,24 +244,35 @@ def watch(page: Page, trigger: str, selector: str, with_view: bool) -> None:
 
 
 def measured(page: Page) -> dict[str, float]:
-    """When the image ("picture") and the 3D view ("view") were on screen, milliseconds after the event."""
+    """When what the selector finds ("page") and the 3D view ("view") were on screen, milliseconds after the event."""
     until(page, "window.measured !== null", WATCH_S + OPENS_WITHIN_S)
     shown: dict[str, float | None] = page.evaluate("window.measured")
     times = {name: value for name, value in shown.items() if value is not None}
-    if "picture" not in times:
-        raise ConfigError(f"the new image was not on screen within {WATCH_S:.0f} s")
+    if "page" not in times:
+        raise ConfigError(f"what is new was not on screen within {WATCH_S:.0f} s")
     return times
+
+
+def on_page(page: Page, x: float, y: float) -> tuple[float, float]:
+    """Where a pixel of the camera image is on the page."""
+    image = page.locator("[data-testid=image-editor] img.picture").first
+    rect = image.evaluate("(i) => ({...i.getBoundingClientRect().toJSON(), w: i.naturalWidth, h: i.naturalHeight})")
+    return rect["left"] + (x + 0.5) * rect["width"] / rect["w"], rect["top"] + (y + 0.5) * rect["height"] / rect["h"]
+
+
+def drag(page: Page, start: tuple[float, float], end: tuple[float, float], key: str = "") -> None:
+    """Drags the mouse from one point of the page to another; a key is pressed before it is released."""
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(*end, steps=4)
+    if key:
+        page.keyboard.press(key)
+    page.mouse.up()
 
 
 def draw_box(page: Page, box: tuple[float, float, float, float]) -> None:
     """Draws a box on the camera image with the mouse: x_min, y_min, x_max, y_max, pixels of the image."""
-    image = page.locator("[data-testid=image-editor] img.picture").first
-    rect = image.evaluate("(i) => ({...i.getBoundingClientRect().toJSON(), w: i.naturalWidth, h: i.naturalHeight})")
-    x, y = rect["width"] / rect["w"], rect["height"] / rect["h"]
-    page.mouse.move(rect["left"] + (box[0] + 0.5) * x, rect["top"] + (box[1] + 0.5) * y)
-    page.mouse.down()
-    page.mouse.move(rect["left"] + (box[2] + 0.5) * x, rect["top"] + (box[3] + 0.5) * y, steps=4)
-    page.mouse.up()
+    drag(page, on_page(page, *box[:2]), on_page(page, *box[2:]))
 
 
 def wait_for_frame(page: Page, frame: int) -> None:

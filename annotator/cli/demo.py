@@ -33,24 +33,27 @@ def generate(
     out: Path,
     /,
     *,
-    preset: Preset = "people",
+    preset: Preset | Literal["tour"] = "people",
     frames: int = 30,
     seed: Seed = 0,
     width: int = 640,
     height: int = 480,
+    drift: float = 0.0,
 ) -> None:
     """Generate a synthetic RGB-D recording of a room, with exact ground truth in separate files.
 
     Args:
         out: new folder for the recording.
         preset: scene to generate: people who walk, turn and gesture in a room, hands in front of the camera, or objects
-            of many shapes on a table or on the floor.
+            of many shapes on a table or on the floor; or a tour of a room with twelve objects and three people, by a
+            camera with poses.
         frames: number of frames to generate, ten per second.
         width: width of the images, pixels.
         height: height of the images, pixels.
+        drift: by which the poses of a tour are wrong, share of the way, such as 0.01.
     """
     with counted("ray-casting") as progress:
-        write_generated(out, preset, frames, seed, width, height, progress)
+        write_generated(out, preset, frames, seed, width, height, progress, drift)
     print_line(f"{out}: {amount(frames, 'frame')} of {preset}")
 
 

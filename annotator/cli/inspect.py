@@ -46,6 +46,12 @@ def _rows(report: RecordingReport) -> Iterator[tuple[str, object]]:
         yield "note", note
     if report.origin is not None:
         yield "origin", f"{_metres(report.origin)} m in the map coordinates of the clouds (--origin sets another place)"
+    if (poses := report.poses) is not None:
+        yield (
+            "poses",
+            f"{poses.posed} of {amount(poses.frames, 'frame')}, by {poses.source}; a way of {poses.way_m:.2f} m",
+        )
+        yield from (("poses", problem) for problem in (*poses.gaps, *poses.jumps))
     yield from _topic_rows(report.topics)
     for key, problem in report.broken.items():
         yield f"frame {key}", f"cannot be read: {problem}"
@@ -77,7 +83,7 @@ def _frame_rows(frame: FrameReport) -> Iterator[tuple[str, object]]:
     camera = frame.camera
     yield "camera", f"fx {camera.fx:g}, fy {camera.fy:g}, cx {camera.cx:g}, cy {camera.cy:g} px"
     if frame.place is not None:
-        yield "camera at", f"{_metres(frame.place)} m in map coordinates"
+        yield "camera at", f"{_metres(frame.place)} m in the world"
     yield "distortion", " ".join(f"{k:g}" for k in camera.distortion) if any(camera.distortion) else "none"
     extras = [name for name, known in (("colour", frame.has_colour), ("reflectance", frame.has_reflectance)) if known]
     yield "points", f"{frame.points} with {' and '.join(extras) or 'coordinates only'}"

@@ -19,7 +19,8 @@ from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks import operations
 from annotator.workflows.tracks.follow_run import follow_recording
 from annotator.workflows.tracks.link import link_tracks
-from annotator.workflows.tracks.operations import apply, box_fitter
+from annotator.workflows.tracks.operations import apply
+from annotator.workflows.tracks.refit_run import RefitRun, box_fitter
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ready_view, view_with_classes
 
@@ -214,11 +215,13 @@ def fill(
     Args:
         refit: fit every new box to the points of its frame, with the pseudo-view detector if it is trained.
     """
-    fit = None
-    if refit:
+    done = _operate(project, recording, track, operations.Fill, span, refit=refit)
+    if refit and not span.dry_run:
         source = FrameSource(project)
         fit = box_fitter(project, lambda frame: OpenFrame(source.read(frame)), ready_view(project))
-    _operate(project, recording, track, operations.Fill, span, fit, refit=refit)
+        with counted("fit") as progress:
+            fitted = RefitRun(project, done, OPERATION_AUTHOR, fit).run(lambda now: progress(now.done, now.total))
+        print_line(f"track {track}: fits {amount(fitted.tracks[0].boxes, 'box')} to the points")
 
 
 def _operate(
@@ -227,9 +230,8 @@ def _operate(
     track: int,
     kind: type[operations.Operation],
     span: Span,
-    fit: operations.FitBox | None = None,
     **given: Any,
-) -> None:
+) -> operations.Done:
     chosen = project.recordings.find(recording).id
     ends = {"first": span.first, "last": span.last}
     ids = {name: project.frames.find(chosen, key).id for name, key in ends.items() if key is not None}
@@ -237,5 +239,6 @@ def _operate(
         operation = kind.model_validate(given | ids)
     except ValidationError as error:
         raise ConfigError(first_problem(error)) from error
-    done = apply(project, chosen, track, operation, OPERATION_AUTHOR, dry_run=span.dry_run, fit=fit)
-    print_line(f"track {track}: {done.words()}{' (nothing was stored)' if span.dry_run else ''}")
+    done = apply(project, chosen, track, operation, OPERATION_AUTHOR, dry_run=span.dry_run)
+    print_line(f"track {track}: {done.count.words()}{' (nothing was stored)' if span.dry_run else ''}")
+    return done

@@ -77,7 +77,10 @@ class Lost(StrEnum):
     CUT = "cut", "{frame has|frames have} a scan with points outside the camera's view, which were left out"
     ATTRIBUTE = "attribute", "{attribute value|attribute values} cannot be stored in this format"
     SAID = "said", "{box was|boxes were} proposed by other software; this format cannot store which one"
-    ORIGIN = "origin", "{frame has|frames have} a place in a map; boxes and points were written relative to the camera"
+    ORIGIN = (
+        "origin",
+        "{frame has|frames have} a place in a map or world; boxes and points were written relative to the camera",
+    )
     UNREADABLE = "unreadable", "{frame cannot be read and was|frames cannot be read and were} left out"
 
 

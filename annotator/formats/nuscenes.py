@@ -45,7 +45,7 @@ from pydantic_core import to_json
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats import reading
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, Lost
 from annotator.formats.frame_names import (
     VISIBILITY,
     DatasetNames,
@@ -59,7 +59,7 @@ from annotator.formats.reading import Lengths
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import Sight
 from annotator.geometry.projection import straightened
-from annotator.geometry.transforms import Quaternions, level_pose
+from annotator.geometry.transforms import IMAGE_UP, UPRIGHT, Quaternions, level_pose
 from annotator.nuscenes_tables import (
     CalibratedSensor,
     EgoPose,
@@ -72,7 +72,7 @@ from annotator.nuscenes_tables import (
     read_rows,
 )
 from annotator.text import normal, stem_of
-from annotator.types import Camera, Label, OrientedBox, PointCloud, Truth
+from annotator.types import Camera, Frame, Label, OrientedBox, PointCloud, Truth
 from annotator.types.bases import FileRecord, TrackId
 from annotator.types.errors import FormatError
 
@@ -355,6 +355,17 @@ def token(*parts: object) -> str:
     return uuid.uuid5(NAMESPACE, "\n".join(map(repr, parts))).hex
 
 
+# Farther from its camera, a world is a map, whose z is up; that of odometry may be its first image.
+MAP_M = 500.0
+
+
+def _has_z_up(frame: Frame) -> bool:
+    """True if z of the frame's world is up, as in nuScenes' global frame; without gravity, if the camera is level."""
+    assert frame.T_world_camera is not None
+    T, up = frame.T_world_camera, IMAGE_UP if frame.up is None else frame.up
+    return bool(np.linalg.norm(T.translation) > MAP_M or T.rotation.apply(up)[2] > UPRIGHT)
+
+
 class NuScenesWriter(DatasetWriter):
     """Keeps all rows in memory, without images and clouds."""
 
@@ -372,11 +383,15 @@ class NuScenesWriter(DatasetWriter):
         self._attributes: set[str] = set()
         self._shifts_us: dict[Key, int] = {}
         self._starts_us: set[int] = set()
+        self._is_level: dict[Key, bool] = {}
         self.put(MAP_FILE, cv2.imencode(".png", np.zeros((1, 1), np.uint8))[1].tobytes())
 
     def frame(self, item: DatasetItem, frame_id: str) -> None:
         frame, key = item.frame, (item.recording, item.split)
         T_level_camera, world = level_pose(frame.up), frame.T_world_camera
+        if world is not None and not self._is_level.setdefault(key, _has_z_up(frame)):
+            self.losses.add(Lost.ORIGIN)
+            world = None
         camera, rgb = straightened(frame.camera, frame.rgb)
         files = {
             CAMERA: self.put_image(f"samples/{CAMERA}/{frame_id}", rgb),

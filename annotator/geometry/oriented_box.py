@@ -115,9 +115,8 @@ def canonical_box(box: OrientedBox, up: Float64[np.ndarray, "3"] | None) -> Orie
 
 def same_box(a: OrientedBox, b: OrientedBox) -> bool:
     """True if two boxes have the same centre, axes and size, within `SAME_BOX`."""
-    return bool(
-        np.allclose(a.pose, b.pose, rtol=0, atol=SAME_BOX) and np.allclose(a.size_m, b.size_m, rtol=0, atol=SAME_BOX)
-    )
+    # `np.allclose` takes ten times as long
+    return bool((np.abs(a.pose - b.pose) <= SAME_BOX).all() and (np.abs(a.size_m - b.size_m) <= SAME_BOX).all())
 
 
 def nearest_upright(box: OrientedBox, up: Float[np.ndarray, "3"]) -> tuple[OrientedBox, float]:

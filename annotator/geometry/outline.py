@@ -23,7 +23,14 @@ from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import intersection_volume_pairs
 from annotator.geometry.oriented_box import EDGES, box_corners, corners
-from annotator.geometry.projection import CameraKey, camera_key, project, radius_limit_squared, undistort_px
+from annotator.geometry.projection import (
+    CameraKey,
+    camera_key,
+    inside_image,
+    project,
+    radius_limit_squared,
+    undistort_px,
+)
 from annotator.types import Box2D, Camera, OrientedBox
 
 # Minimum distance in front of the camera, metres; closer parts are ignored.
@@ -219,6 +226,20 @@ def visible_edges(camera: Camera, boxes: Sequence[OrientedBox]) -> list[Float64[
     px = project(camera, along.reshape(-1, 3)).reshape(-1, pieces + 1, 2)
     drawn = np.stack([px[:, :-1], px[:, 1:]], axis=2)
     return [_finite(drawn[owner == index].reshape(-1, 2, 2)) for index in range(len(boxes))]
+
+
+def sizes_on_image(camera: Camera, boxes: Sequence[OrientedBox]) -> Float64[np.ndarray, "n"]:
+    """How well the image shows each box (camera frame): the square root of the share of the image that the rectangle
+    around its visible edges takes, less the more corners are outside; 0 if nothing is visible.
+    """
+    last_px, sizes = _last_px(camera), np.zeros(len(boxes))
+    for index, edges in enumerate(visible_edges(camera, boxes)):
+        if len(edges):
+            px = edges.reshape(-1, 2).clip(-0.5, last_px)
+            inside = np.count_nonzero(inside_image(camera, project(camera, box_corners(boxes[index]))))
+            # a box that is larger than the image has all corners outside
+            sizes[index] = np.sqrt((np.ptp(px, axis=0) / (last_px + 0.5)).prod()) * ((1 + inside) / 9) ** 2
+    return sizes
 
 
 def cut_segments(

@@ -83,7 +83,7 @@ class ProjectSettings(Strict):
     """Defaults for options that are not given on the command line.
 
     Attributes:
-        box_kind: what the 2D boxes enclose that people draw in Label.
+        box_kind: what the 2D boxes enclose that people draw on images.
         rcv: settings of the recursion that differ from the defaults. They are validated when
             the recursion is run (`annotator.workflows.settings`), not here.
         learn_every: while the page is open, a round of training in the background after so many more reviewed boxes;

@@ -11,7 +11,7 @@ from annotator.project.audit.writing import Receipt, WriteContext
 from annotator.project.changes import FrameAttributesSet, FrameFinalised
 from annotator.project.database.schema import AnyRow, frames
 from annotator.project.log import Writer
-from annotator.project.recordings import KEPT
+from annotator.project.recordings import KEPT, of_rig
 from annotator.project.rows import values_of
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import AttributeValue
@@ -69,6 +69,12 @@ class Frames:
             query = query.where(frames.c.recording_id.in_(recordings))
         with self.writer.store.read() as connection:
             return tuple(StoredFrame(*row) for row in connection.execute(query))
+
+    def finalised(self, recording_id: int) -> frozenset[int]:
+        """Ids of the finalised frames of a recording's rig."""
+        with self.writer.store.read() as connection:
+            query = select(frames.c.id).where(frames.c.finalised.is_(True), of_rig(recording_id))
+            return frozenset(connection.execute(query).scalars())
 
     def first(self, recording_id: int | None = None) -> int | None:
         """Id of the first frame of a recording (default: of the project) that the latest scan found; None without."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
-from sqlalchemy import Connection, Select, Table, bindparam, case, func, select
+from sqlalchemy import Connection, Select, Table, and_, bindparam, case, func, or_, select, true
 
 from annotator.project.audit.writing import Receipt, WriteContext
 from annotator.project.changes import (
@@ -110,6 +110,34 @@ class Labels:
         """As `of_frame`, with what is stored beside each."""
         with self.writer.store.read() as connection:
             return read_stored(connection, frame_id)
+
+    def near(self, boxes: Iterable[tuple[int, OrientedBox, int | None]]) -> dict[int, tuple[StoredLabel, ...]]:
+        """The labels of frames that may touch a box there, or are of its track, in the order of their creation.
+
+        A track may have 1,000 boxes in frames of a street, so only these are made of their rows.
+
+        Args:
+            boxes: id of a frame, a box in the frame of its camera, and the track of that box, each.
+
+        Returns:
+            by the frame's id, without frames that have none.
+        """
+        found = defaultdict[int, dict[str, StoredLabel]](dict)
+        with self.writer.store.read() as connection:
+            terms, places = Terms(connection), []
+            for frame_id, box, track_id in boxes:
+                T = terms.T_camera_cloud(frame_id)
+                center_m = box.center_m if T is None else T.inv().apply(box.center_m)
+                places.append((frame_id, *center_m.tolist(), float(box.size_m.sum()) / 2, track_id))
+            rows = [row for near in _NEAR for row in connection.execute(near, {"places": json.dumps(places)})]
+            for each in stored_labels(connection, rows, [row.seen_from for row in rows]):
+                found[each.frame_id][each.label.uid] = each
+        return {frame_id: tuple(by_uid.values()) for frame_id, by_uid in found.items()}
+
+    def drawn_on_images(self, uids: Collection[str]) -> frozenset[str]:
+        """Those of some labels that have a box on a camera image."""
+        with self.writer.store.read() as connection:
+            return frozenset(connection.execute(_DRAWN, {"uids": json.dumps([*uids])}).scalars())
 
     def get(self, uid: str) -> StoredLabel:
         """One label."""
@@ -290,10 +318,10 @@ class Labels:
                 self.writer.to_frame_in(connection, id, of_frame, context, action)
                 context = replace(context, effort=None)  # counted once, on the label's frame
 
-    def kept(self, frame_id: int) -> frozenset[str]:
-        """Uids of the moment's proposals that no automatic pass replaces, as `classes.values.is_kept`."""
+    def kept(self, *frame_ids: int) -> frozenset[str]:
+        """Uids of proposals in frames' moments that no automatic pass replaces, as `classes.values.is_kept`."""
         with self.writer.store.read() as connection:
-            rows = connection.execute(_VALUES_SET, {"frame": frame_id}).all()
+            rows = connection.execute(_VALUES_SET, {"ids": json.dumps(frame_ids)}).all()
             if not rows:
                 return frozenset()
             terms = Terms(connection)
@@ -335,7 +363,35 @@ _BESIDE = [
     .group_by(of.c.track_id)
     for of in BOTH_LABELS
 ]
-_VALUES_SET = LABELS_OF_MOMENT.where(labels.c.values_set.is_(True))
+_IDS = func.json_each(bindparam("ids")).table_valued("value")
+# a place: frame, centre, half the sum of the sides, which is more than half the diagonal, and track
+_PLACES = func.json_each(bindparam("places")).table_valued("value")
+_FRAME, _X, _Y, _Z, _REACH, _TRACK = (func.json_extract(_PLACES.c.value, f"$[{n}]") for n in range(6))
+_CENTER, _SIZE = (
+    [func.json_extract(own_labels.c.box, f"$.{name}[{axis}]") for axis in range(3)] for name in ("center_m", "size_m")
+)
+_IS_NEAR = (
+    func.abs(own - other) <= _REACH + (_SIZE[0] + _SIZE[1] + _SIZE[2]) / 2
+    for own, other in zip(_CENTER, (_X, _Y, _Z), strict=True)
+)
+# those that stand still, whose boxes lie in another frame of coordinates, and are few, are near in any case
+_NEAR = [
+    select(of, frames.c.id.label("seen_from"))
+    .select_from(_PLACES)
+    .join(frames, frames.c.id == _FRAME)
+    .join(of, of.c.moment_id == frames.c.moment_id)
+    .where(is_near)
+    .order_by(of.c.id)
+    for of, is_near in ((own_labels, or_(own_labels.c.track_id == _TRACK, and_(*_IS_NEAR))), (still_labels, true()))
+]
+_VALUES_SET = (
+    select(own_labels)
+    .join(frames, frames.c.moment_id == own_labels.c.moment_id)
+    .where(frames.c.id.in_(select(_IDS.c.value)), own_labels.c.values_set.is_(True))
+)
+_DRAWN = select(own_labels.c.uid).where(
+    own_labels.c.uid.in_(select(_SHOWN.c.value)), own_labels.c.image_box.is_not(None)
+)
 
 
 def _first_sightings(label: str | None, recording: int | None) -> Select[Any]:

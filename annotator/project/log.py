@@ -13,9 +13,10 @@ from annotator.project.audit.making import make
 from annotator.project.audit.writing import Receipt, Write, WriteContext
 from annotator.project.changes import Payload, ViewBoxesSet
 from annotator.project.database.schema import ALL_LABELS, events, frames, recordings, sightings, stills
-from annotator.project.database.store import Store
+from annotator.project.database.store import Store, driver_of
 from annotator.project.recordings import of_rig
 from annotator.project.records import storable
+from annotator.project.rows import Terms
 from annotator.types import Source
 from annotator.types.errors import FinalisedFrameError, NotFoundError, StaleRevisionError, TrackTakenError
 
@@ -38,10 +39,10 @@ _STILL_CHANGED = (
     .where(stills.c.event_id > bindparam("after"), sightings.c.seen)
     .group_by(frames.c.id)
 )
+# By the driver: an operation on a track writes to thousands of frames.
 _FRAME = (
-    select(frames.c.key, frames.c.revision, frames.c.finalised, recordings.c.name, recordings.c.removed_ns)
-    .join(recordings, recordings.c.id == frames.c.recording_id)
-    .where(frames.c.id == bindparam("frame"))
+    "SELECT frames.key, frames.revision, frames.finalised, recordings.name, recordings.removed_ns "
+    "FROM frames JOIN recordings ON recordings.id = frames.recording_id WHERE frames.id = ?"
 )
 
 
@@ -83,12 +84,17 @@ class Writer:
         payloads: Sequence[Payload],
         context: WriteContext,
         action: str | None = None,
+        terms: Terms | None = None,
     ) -> Receipt:
-        """As `append`, within the caller's write transaction, as a part of an action over several frames if any."""
+        """As `append`, within the caller's write transaction, as a part of an action over several frames if any.
+
+        Args:
+            terms: of the transaction, if it writes to several frames.
+        """
         where = require_writable(connection, frame_id, context)
         # a pass or an import can be undone if its caller says so, by passing an action
         action = new_action() if action is None and context.source is Source.MANUAL else action
-        write = Write(self.store, connection, frame_id, where, context, action)
+        write = Write(self.store, connection, frame_id, where, context, action, terms)
         for payload in payloads:
             with storable(f"{where}: {payload.kind}"):
                 make(write, payload)
@@ -114,9 +120,10 @@ class Writer:
                 if (track_id := connection.execute(used.union_all(still).limit(1)).scalar()) is not None:
                     taken = f"track {track_id} has been given to another object in the meantime; try again"
                     raise TrackTakenError(taken, track_id)
-            action = action or new_action()
+            action, terms = action or new_action(), Terms(connection)
             return tuple(
-                self.to_frame_in(connection, each.frame_id, each.payloads, each.context, action) for each in parts
+                self.to_frame_in(connection, each.frame_id, each.payloads, each.context, action, terms)
+                for each in parts
             )
 
     def to_view(self, payload: ViewBoxesSet, context: WriteContext) -> Receipt:
@@ -182,14 +189,15 @@ def new_action() -> str:
 
 def require_writable(connection: Connection, frame_id: int, context: WriteContext) -> str:
     """Checks that the frame may be changed; returns its name for messages."""
-    row = connection.execute(_FRAME, {"frame": frame_id}).first()
+    row = driver_of(connection).execute(_FRAME, (frame_id,)).fetchone()
     if row is None:
         raise NotFoundError(f"the project has no frame with id {frame_id}")
-    where = f"frame {row.key} of recording {row.name}"
-    if row.removed_ns is not None and context.undoes is None:
+    key, revision, finalised, name, removed_ns = row
+    where = f"frame {key} of recording {name}"
+    if removed_ns is not None and context.undoes is None:
         raise NotFoundError(f"{where}: the recording was removed from the project; add it again to change its labels")
-    if row.finalised and context.source is Source.AUTO:
+    if finalised and context.source is Source.AUTO:
         raise FinalisedFrameError(f"{where} is finalised, so automatic passes may not change it; reopen it first")
-    if row.revision != context.revision:
-        raise StaleRevisionError(where, context.revision, row.revision)
+    if revision != context.revision:
+        raise StaleRevisionError(where, context.revision, revision)
     return where

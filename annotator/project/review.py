@@ -16,6 +16,7 @@ from annotator.project.database.schema import ALL_LABELS, AnyRow, frames, own_la
 from annotator.project.database.store import Store
 from annotator.project.frames import FRAME_COLUMNS, StoredFrame
 from annotator.project.records import OWN
+from annotator.project.rows import Terms
 from annotator.types import ReviewState
 
 _BEHIND = ALL_LABELS.alias()
@@ -99,6 +100,7 @@ class QueueItem:
     Attributes:
         doubt: in 0..1, if any signal has a value.
         sources: all that see the object, that of the shown box first; `OWN` for annotator itself.
+        heading: of the proposal's box, a unit vector in the camera frame.
     """
 
     frame: StoredFrame
@@ -106,6 +108,7 @@ class QueueItem:
     label: str | None
     doubt: float | None
     sources: tuple[str, ...] = ()
+    heading: tuple[float, ...] | None = None
 
 
 def waiting(
@@ -134,15 +137,19 @@ def waiting(
     first = _of_frames(select(labels.c.id)).where(is_open).order_by(*order).limit(most)
     further = select(func.json_group_array(func.json_array(_BEHIND.c.score, func.coalesce(_BEHIND.c.of_source, OWN))))
     further_of = further.where(_BEHIND.c.behind == labels.c.uid).scalar_subquery().label("further")
-    columns = (labels.c.uid, labels.c.label, labels.c.of_source, further_of, doubt.label("doubt"))
+    columns = (labels.c.uid, labels.c.label, labels.c.of_source, further_of, doubt.label("doubt"), labels.c.box)
     query = _of_frames(select(*FRAME_COLUMNS, *columns)).where(labels.c.id.in_(first)).order_by(*order)
     with store.read() as connection:
-        found = tuple(
-            QueueItem(StoredFrame(*row[: len(FRAME_COLUMNS)]), row.uid, row.label, row.doubt, _sources(row))
-            for row in connection.execute(query)
-        )
+        terms = Terms(connection)
+        found = tuple(_item(row, terms) for row in connection.execute(query))
         total = connection.execute(_of_frames(select(func.count())).where(is_open)).scalar_one()
     return found, int(total)
+
+
+def _item(row: AnyRow, terms: Terms) -> QueueItem:
+    frame = StoredFrame(*row[: len(FRAME_COLUMNS)])
+    heading = tuple(terms.box(row.box, frame.id).rotation[:, 0].tolist())
+    return QueueItem(frame, row.uid, row.label, row.doubt, _sources(row), heading)
 
 
 def waiting_sources(store: Store) -> dict[str, int]:

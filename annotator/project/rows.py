@@ -103,6 +103,7 @@ class Terms:
         ids: by name, first those of the project's classes.
         classes: the names of the project's classes, in order.
         key: the names, for caches.
+        of_tracks: the values of tracks that are known, by rig and track.
     """
 
     def __init__(self, connection: Connection) -> None:
@@ -119,6 +120,7 @@ class Terms:
         self._are_same = not self._corrections and self._driver.execute(shared).fetchone() is None
         self._of_frames: dict[tuple[int | None, bool], Place] = {}
         self._last_label: int | None = None
+        self.of_tracks: dict[tuple[int, int], dict[str, AttributeValue]] = {}
 
     # --- classes ------------------------------------------------------------------------------------------------------
 

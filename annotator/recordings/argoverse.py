@@ -95,7 +95,7 @@ class ArgoverseLog(Scanned, RigCamera):
         size = camera.width_px, camera.height_px
         picture = read_color_image(image, size)
         require_size(image, picture.rgb, size, "the calibration says", REMEDY)
-        T_city_camera = self._T_city_ego(self.images[i]) * self._mount(self.camera)
+        T_city_camera = self._T_city_camera(i)
         T_camera_ego = T_city_camera.inv() * self._T_city_ego(key)
         raw = self._sweep(key)
         xyz_m = T_camera_ego.apply(raw.xyz_m)
@@ -106,20 +106,28 @@ class ArgoverseLog(Scanned, RigCamera):
 
     def scan(self, i: int) -> Scan:
         key = self.key(i)
-        raw = self._sweep(key)
         T_city_ego = self._T_city_ego(key)
         up = T_city_ego.rotation.inv().apply(UP)
         place_m = self._mount(LIDAR).translation
         R_level_ego, T_ego_label = level_turn(up, AHEAD), RigidTransform.identity()
-        return Scan(raw, R_level_ego, place_m, T_ego_label, True, int(key), T_city_ego)
+        return Scan(lambda: self._sweep(key), R_level_ego, place_m, T_ego_label, True, int(key), T_city_ego)
+
+    @property
+    def pose_source(self) -> str:
+        return POSES
+
+    def pose(self, i: int) -> RigidTransform:
+        self.key(i)
+        T = self._T_city_camera(i) if self.camera else self.scan(i).T_world_camera(R_CAMERA_LEVEL)
+        assert T is not None
+        return T
 
     def moment(self, i: int) -> str:
         return self.key(i)
 
     def T_rig_camera(self, i: int) -> RigidTransform:
         """Returns the camera's pose in the ego frame of the sweep's time."""
-        T_ego_city = self._T_city_ego(self.key(i)).inv()
-        return T_ego_city * self._T_city_ego(self.images[i]) * self._mount(self.camera)
+        return self._T_city_ego(self.key(i)).inv() * self._T_city_camera(i)
 
     def _sweep_file(self, key: str) -> Path:
         return self.path / SWEEPS / f"{key}.feather"
@@ -131,6 +139,9 @@ class ArgoverseLog(Scanned, RigCamera):
         columns["intensity"] = columns["intensity"].clip(0, MOST_INTENSITY).astype(np.uint8)
         with file_errors(path, REMEDY):
             return from_columns(columns)
+
+    def _T_city_camera(self, i: int) -> RigidTransform:
+        return self._T_city_ego(self.images[i]) * self._mount(self.camera)
 
     def _T_city_ego(self, time_ns: str) -> RigidTransform:
         return _rigid(self.path / POSES, time_ns, self.poses, int(time_ns))

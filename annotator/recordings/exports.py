@@ -74,6 +74,16 @@ class ExportFolder(Recording):
     def described(self, key: str) -> Described:
         """Returns what a frame's document says."""
 
+    @cached_property
+    def pose_source(self) -> str | None:
+        try:
+            return None if self.described(self.keys[0]).T_world_camera is None else "the export"
+        except FrameError:  # the frame reports it
+            return None
+
+    def pose(self, i: int) -> RigidTransform | None:
+        return self.described(self.key(i)).T_world_camera
+
     def files(self, i: int) -> tuple[Path, ...]:
         try:
             return tuple(inside(self.path, name) for name in self.named(self.key(i)))

@@ -6,7 +6,7 @@ of any single clock.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +71,7 @@ def read_times(folder: Path, keys: Sequence[str]) -> tuple[Times | None, tuple[s
         times[normal(key)] = int(time)
     written = tuple(times.get(normal(key)) for key in keys)
     known = known_times(written)
-    if (problem := _unit_problem(known)) is not None:
+    if (problem := unit_problem(known)) is not None:
         raise RecordingError(
             f"{path}: {problem}; write nanoseconds, or remove the file to use the frames without times"
         )
@@ -80,7 +80,7 @@ def read_times(folder: Path, keys: Sequence[str]) -> tuple[Times | None, tuple[s
     return known, (note,) if unset else ()
 
 
-def _unit_problem(times_ns: Times) -> str | None:
+def unit_problem(times_ns: Iterable[int | None]) -> str | None:
     """Returns what shows that times are in seconds, milliseconds or microseconds; None if nothing does."""
     times = np.unique([time for time in times_ns if time is not None])
     if len(times) < 2:

@@ -7,6 +7,13 @@ tracking   image_02/KEY.png  velodyne/KEY.bin  calib.txt  [label_02.txt]; consec
 raw        DRIVE/image_02/data/KEY.png  DRIVE/velodyne_points/data/KEY.bin  DRIVE/image_02/timestamps.txt
            calib_cam_to_cam.txt  calib_velo_to_cam.txt, in the drive's folder or in that of its day above it
            [tracklet_labels.xml]; the layout of the download ("synced and rectified")
+odometry   image_2/KEY.png  velodyne/KEY.bin  calib.txt  [times.txt, poses.txt]; a sequence, read as a tracking folder
+
+Poses, the first of: poses.txt, or poses/DRIVE.txt beside the sequences (odometry); oxts/data/KEY.txt (raw), oxts.txt or
+oxts/DRIVE.txt (tracking); poses.csv, of the LiDAR. The odometry's are those of rectified camera 0, 3 x 4, in its first
+frame, which is turned here so that z is up. A line of oxts begins with latitude and longitude (degrees), altitude
+(metres), roll, pitch and yaw (0: east) of the GPS unit. As in the devkit, the world is the Mercator projection: x east,
+y north, z up.
 
 Labels are read by annotator.formats.kitti.
 
@@ -23,10 +30,13 @@ from __future__ import annotations
 
 import re
 from abc import abstractmethod
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import cos, log, radians, tan
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Float64
@@ -40,10 +50,13 @@ from annotator.recordings.image_file import read_color_image
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, joined, sorted_keys, stems
 from annotator.recordings.look_around import Scan, Scanned, Scenes, choose
 from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation, pinhole
+from annotator.recordings.poses import FILE_NAME as POSES_CSV
+from annotator.recordings.poses import Poses, numbers, pose_of_matrix, read_poses
 from annotator.recordings.recording import ReaderOptions
 from annotator.recordings.scan_file import Scans
 from annotator.text import spelled, to_number
 from annotator.types import Camera, Frame, PointCloud
+from annotator.types.checks import seconds_ns
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 
 # Tolerance for rotations: files have four digits or more.
@@ -64,12 +77,14 @@ class KittiCalibration:
         shift_m: (3,) t = K^-1 P2[:, 3].
         T_rect_lidar: (3, 4) R0_rect * Tr_velo_to_cam: LiDAR to rectified camera 0, as in the file. Not a
             RigidTransform, because it is orthonormal only to seven digits and products must equal the data set's own.
+        T_lidar_imu: the GPS unit's frame (x ahead, y left, z up) to the LiDAR's; None if the calibration has it not.
     """
 
     path: Path
     matrix: Float64[np.ndarray, "3 3"]
     shift_m: Float64[np.ndarray, "3"]
     T_rect_lidar: Float64[np.ndarray, "3 4"]
+    T_lidar_imu: RigidTransform | None = None
 
     @property
     def T_camera_label(self) -> RigidTransform:
@@ -79,8 +94,7 @@ class KittiCalibration:
     @property
     def T_camera_lidar(self) -> RigidTransform:
         """The exactly rigid transform from the LiDAR to colour camera 2; `to_camera` uses the file's matrix instead."""
-        rotation = Rotation.from_matrix(self.T_rect_lidar[:, :3])
-        return RigidTransform.from_components(self.T_rect_lidar[:, 3] + self.shift_m, rotation)
+        return self.T_camera_label * rigid_of(self.T_rect_lidar)
 
     def camera(self, width_px: int, height_px: int) -> Camera:
         return pinhole(self.matrix, width_px, height_px)
@@ -95,17 +109,26 @@ class KittiCalibration:
 def read_calibration(path: Path) -> KittiCalibration:
     rows = _read_rows(path)
     P2 = _matrix(path, rows, ("P2",), (3, 4))
-    R0 = _matrix(path, rows, ("R0_rect", "R_rect"), (3, 3))
-    return _calibration(path, path, P2, R0, _matrix(path, rows, ("Tr_velo_to_cam", "Tr_velo_cam"), (3, 4)))
+    # the odometry's images are rectified, and its Tr leads to rectified camera 0
+    R0 = np.eye(3) if "Tr" in rows else _matrix(path, rows, ("R0_rect", "R_rect"), (3, 3))
+    Tr = _matrix(path, rows, ("Tr_velo_to_cam", "Tr_velo_cam", "Tr"), (3, 4))
+    T_lidar_imu = None
+    with suppress(FrameError):  # many converters write none, or zeros
+        T_lidar_imu = _matrix(path, rows, ("Tr_imu_to_velo", "Tr_imu_velo"), (3, 4))
+    return _calibration(path, path, P2, R0, Tr, T_lidar_imu)
 
 
 def read_raw_calibration(cameras: Path, lidar: Path) -> KittiCalibration:
     """Reads the calibration of a raw drive: `calib_cam_to_cam.txt` and `calib_velo_to_cam.txt`."""
-    rows, poses = _read_rows(cameras), _read_rows(lidar)
+    rows, imu = _read_rows(cameras), lidar.with_name(IMU)
     P2 = _matrix(cameras, rows, ("P_rect_02",), (3, 4))
     R0 = _matrix(cameras, rows, ("R_rect_00",), (3, 3))
-    Tr = np.concatenate([_matrix(lidar, poses, ("R",), (3, 3)), _matrix(lidar, poses, ("T",), (3, 1))], axis=1)
-    return _calibration(cameras, lidar, P2, R0, Tr)
+    return _calibration(cameras, lidar, P2, R0, _rigid_rows(lidar), _rigid_rows(imu) if imu.is_file() else None)
+
+
+def _rigid_rows(path: Path) -> Float64[np.ndarray, "3 4"]:
+    rows = _read_rows(path)
+    return np.concatenate([_matrix(path, rows, ("R",), (3, 3)), _matrix(path, rows, ("T",), (3, 1))], axis=1)
 
 
 def calibration_text(path: Path) -> str:
@@ -123,15 +146,24 @@ def _read_rows(path: Path) -> dict[str, list[str]]:
     return rows
 
 
-def _calibration(path: Path, lidar: Path, P2: np.ndarray, R0: np.ndarray, Tr: np.ndarray) -> KittiCalibration:
-    """Builds the calibration from the devkit's three matrices; `path` is the file of the first two."""
+def _calibration(
+    path: Path, lidar: Path, P2: np.ndarray, R0: np.ndarray, Tr: np.ndarray, T_lidar_imu: np.ndarray | None
+) -> KittiCalibration:
+    """Builds the calibration from the devkit's matrices; `path` is the file of the first two."""
     K = P2[:, :3]
     if not is_pinhole(K):
         raise FrameError(path, "P2 is not a pinhole camera (fx 0 cx / 0 fy cy / 0 0 1)", REMEDY)
     for place, name, R in ((path, "rectification", R0), (lidar, "LiDAR's pose", Tr[:, :3])):
         if not is_rotation(R, MOST_OFF_ROTATION):
             raise FrameError(place, f"the {name} is not a rotation", REMEDY)
-    return KittiCalibration(path, K, np.linalg.solve(K, P2[:, 3]), R0 @ Tr)
+    is_known = T_lidar_imu is not None and is_rotation(T_lidar_imu[:, :3], MOST_OFF_ROTATION)
+    T_imu = rigid_of(T_lidar_imu) if T_lidar_imu is not None and is_known else None
+    return KittiCalibration(path, K, np.linalg.solve(K, P2[:, 3]), R0 @ Tr, T_imu)
+
+
+def rigid_of(matrix: Float64[np.ndarray, "3 4"]) -> RigidTransform:
+    """Returns the exactly rigid transform nearest to one that is orthonormal to a few digits."""
+    return RigidTransform.from_components(matrix[:, 3], Rotation.from_matrix(matrix[:, :3]))
 
 
 def _matrix(path: Path, rows: dict[str, list[str]], names: tuple[str, ...], shape: tuple[int, int]) -> np.ndarray:
@@ -155,6 +187,42 @@ def matrix_of(path: Path, name: str, words: list[str], shape: tuple[int, int]) -
 NEAREST_Z_M = 0.1
 # The rectified cameras are mounted upright on the car: their y axis points down.
 UP = np.array([0.0, -1.0, 0.0])
+T_WORLD_FIRST = level_pose(UP)
+EARTH_M, ODOMETRY = 6378137.0, "poses.txt"
+
+
+def odometry_poses(path: Path, calibration: KittiCalibration, keys: Sequence[str]) -> Poses:
+    """Returns the poses of colour camera 2 in the file `path` of the odometry, a line for each number of a frame."""
+    with file_errors(path, REMEDY, kind=RecordingError):
+        lines = read_text_file(path, TABLE_BYTES).splitlines()
+    poses: list[RigidTransform | None] = [None] * len(keys)
+    for at, key in enumerate(keys):
+        if key.isascii() and key.isdigit() and len(key) <= MOST_DIGITS and int(key) < len(lines):
+            words, number = lines[int(key)].split(), int(key) + 1
+            if len(words) != 12:
+                raise RecordingError(
+                    f"{path}:{number}: must be a 3 x 4 matrix, 12 numbers, not {len(words)}; correct or remove the file"
+                )
+            T_first_rect = pose_of_matrix(path, f"line {number}", numbers(path, number, words))
+            poses[at] = T_WORLD_FIRST * T_first_rect * calibration.T_camera_label.inv()
+    return Poses.of_frames(path.name, poses)
+
+
+def _oxts_values(path: Path, line: int, words: Sequence[str]) -> list[float]:
+    """Returns latitude, longitude (degrees), altitude (metres), roll, pitch and yaw (radians) of a line of oxts."""
+    with file_errors(path, REMEDY, f"line {line}: "):
+        values = [to_number(word) for word in words[:6]]
+        if len(values) < 6 or not are_plausible(np.array(values)) or not -89 < values[0] < 89:
+            raise ValueError("must begin with latitude, longitude, altitude, roll, pitch and yaw")
+    return values
+
+
+def _oxts_pose(values: Sequence[float], first_lat: float) -> RigidTransform:
+    """Returns the pose of the GPS unit; the projection has the scale of the latitude of the drive's first frame."""
+    lat, lon, up_m, roll, pitch, yaw = values
+    reach_m = cos(radians(first_lat)) * EARTH_M
+    place_m = np.array([reach_m * radians(lon), reach_m * log(tan(radians(90 + lat) / 2)), up_m])
+    return RigidTransform.from_components(place_m, Rotation.from_euler("ZYX", [yaw, pitch, roll]))
 
 
 def visible_cloud(
@@ -191,12 +259,18 @@ MOST_DIGITS = 10
 
 @dataclass(frozen=True, eq=False)
 class KittiFolder(Scanned):
-    """A `Recording` of image and scan pairs, in two folders relative to `folder`: `path`, or its `training`."""
+    """A `Recording` of image and scan pairs, in two folders relative to `folder`: `path`, or its `training`.
+
+    `poses` are those of colour camera 2, or of the LiDAR in `poses.csv`; None: oxts has them, or there are none.
+    """
 
     folder: Path
     images: str
     scans: str
     reader: Scans = field(default_factory=Scans, kw_only=True)
+    poses: Poses | None = field(default=None, kw_only=True)
+    # of a file of times in `root`
+    times_name: ClassVar[str] = ""
     is_parallel: ClassVar[bool] = True
 
     @property
@@ -215,17 +289,67 @@ class KittiFolder(Scanned):
         camera = calibration.camera(rgb.shape[1], rgb.shape[0])
         remedy = f"check that {calibration.path} belongs to this scan"
         cloud = visible_cloud(scan, camera, calibration.to_camera(raw.xyz_m), raw, rgb, remedy)
-        return Frame(key, i, camera, rgb, cloud, None, UP, calibration.T_camera_label, self._time_of(i))
+        T, time_ns = calibration.T_camera_label, self._time_of(i)
+        return Frame(key, i, camera, rgb, cloud, None, UP, T, time_ns, T_world_camera=self.pose(i))
+
+    @property
+    def pose_source(self) -> str | None:
+        if self.poses is not None:
+            return self.poses.source
+        return None if self._oxts is None else self._oxts.relative_to(self.root).as_posix()
+
+    def pose(self, i: int) -> RigidTransform | None:
+        key = self.key(i)
+        if self.poses is not None:
+            T = self.poses.at(i, self._time_of(i))
+            return T if T is None or self.poses.source != POSES_CSV else T * self.calibration(key).T_camera_lidar.inv()
+        values = None if self._oxts is None else self._oxts_values(key)
+        calibration = None if values is None else self.calibration(key)
+        if values is None or calibration is None or calibration.T_lidar_imu is None:
+            return None
+        T_world_imu = _oxts_pose(values, self._first_latitude)
+        return T_world_imu * (calibration.T_camera_lidar * calibration.T_lidar_imu).inv()
+
+    @cached_property
+    def _oxts(self) -> Path | None:
+        """The folder of a drive's GPS, a file for each frame, or its file, a line for each; None without them."""
+        return next((place for place in self.oxts_places() if place.exists()), None)
+
+    def oxts_places(self) -> tuple[Path, ...]:
+        return ()
+
+    def _oxts_values(self, key: str) -> list[float] | None:
+        """Returns what a frame's line says; None without one."""
+        assert self._oxts is not None
+        if self._oxts.is_dir():
+            file, at, lines = self._oxts / f"{key}.txt", 0, tuple[str, ...]()
+            with file_errors(file, REMEDY):
+                lines = tuple(read_text_file(file).splitlines()) if file.is_file() else ()
+        else:
+            is_number = key.isascii() and key.isdigit() and len(key) <= MOST_DIGITS
+            file, at, lines = self._oxts, int(key) if is_number else 10**MOST_DIGITS, self._oxts_lines
+        return _oxts_values(file, at + 1, lines[at].split()) if at < len(lines) else None
+
+    @cached_property
+    def _oxts_lines(self) -> tuple[str, ...]:
+        assert self._oxts is not None
+        with file_errors(self._oxts, REMEDY):
+            return tuple(read_text_file(self._oxts, TABLE_BYTES).splitlines())
+
+    @cached_property
+    def _first_latitude(self) -> float:
+        return next(values[0] for key in self.keys if (values := self._oxts_values(key)) is not None)
 
     def scan(self, i: int) -> Scan:
         key = self.key(i)
-        calibration = self.calibration(key)
+        calibration, T_world_camera = self.calibration(key), self.pose(i)
         return Scan(
-            self.reader.read(self._scan_file(key)),
+            lambda: self.reader.read(self._scan_file(key)),
             level_pose(UP).rotation * calibration.T_camera_lidar.rotation,
             np.zeros(3),
             calibration.T_camera_lidar.inv() * calibration.T_camera_label,
             timestamp_ns=self._time_of(i),
+            T_world_scan=None if T_world_camera is None else T_world_camera * calibration.T_camera_lidar,
         )
 
     def _scan_file(self, key: str) -> Path:
@@ -248,8 +372,49 @@ class KittiFolder(Scanned):
         """Reads the calibration of a frame."""
 
     def time_ns(self, number: int) -> int | None:
-        """Returns the time of frame `number` of the drive, counted from its frame 0; None if frames have no time."""
-        return number * PERIOD_NS
+        """Returns the time of frame `number` of the drive, else that since its frame 0; None if frames have no time."""
+        times, path = self._times, self.root / self.times_name
+        if times is None:
+            return number * PERIOD_NS
+        time_ns = times[number] if number < len(times) else None
+        if time_ns is None:
+            raise FrameError(
+                path,
+                f"line {number + 1} must be the time of frame {number}",
+                "copy it again, or remove it to use times from the frame numbers",
+            )
+        return time_ns
+
+    @cached_property
+    def _times(self) -> tuple[int | None, ...] | None:
+        """The time of each line, nanoseconds; None for an invalid line. None without the file."""
+        path = self.root / self.times_name
+        if not self.times_name or not path.is_file():
+            return None
+        with file_errors(path, "copy it again from the data set"):
+            return tuple(self.time_of(line.strip()) for line in read_text_file(path, TABLE_BYTES).splitlines())
+
+    @staticmethod
+    def time_of(line: str) -> int | None:
+        """Returns the time in a line of the file of times, nanoseconds; None if it has none."""
+        with suppress(ValueError):
+            return seconds_ns(line)
+        return None
+
+
+Kitti = TypeVar("Kitti", bound=KittiFolder)
+
+
+def _with_poses(recording: Kitti, *odometry: Path) -> Kitti:
+    """Returns a recording with the poses of the first of these files of the odometry, else of poses.csv."""
+    file, poses = next((path for path in odometry if path.is_file()), None), None
+    if file is not None:
+        with suppress(FrameError):  # of a calibration, which each frame reports
+            poses = odometry_poses(file, recording.calibration(recording.keys[0]), recording.keys)
+    elif recording.pose_source is None:
+        with suppress(FrameError):  # of a file of times
+            poses = read_poses(recording.root, recording.keys, recording.times_ns)
+    return replace(recording, poses=poses)
 
 
 def keys_in(root: Path, images: str, scans: str) -> tuple[str, ...] | None:
@@ -291,13 +456,14 @@ def open_kitti_object(path: Path, options: ReaderOptions) -> KittiObject | None:
     for root in (path, path / "training"):
         keys = keys_in(root, "image_2", SCANS)
         if keys is not None:
+            if not (root / "calib").exists() and (root / "calib.txt").is_file():
+                return None  # of the odometry
             require_calibration(root, "a KITTI object folder", "calib/", "velodyne/")
-            return KittiObject(path, keys, root, "image_2", SCANS, reader=Scans(options.columns))
+            return _with_poses(KittiObject(path, keys, root, "image_2", SCANS, reader=Scans(options.columns)))
     return None
 
 
-CAMERAS, LIDAR = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
-RAW_TIMES = "image_02/timestamps.txt"
+CAMERAS, LIDAR, IMU = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt"
 # Of the years that 64 bits of nanoseconds hold; numpy would wrap others, and read "2011" or "now".
 TIME = re.compile(r"(?:19[7-9]|20\d)\d-\d\d-\d\d \d\d:\d\d:\d\d(?:\.\d{1,9})?")
 
@@ -306,8 +472,7 @@ TIME = re.compile(r"(?:19[7-9]|20\d)\d-\d\d-\d\d \d\d:\d\d:\d\d(?:\.\d{1,9})?")
 class KittiRaw(KittiFolder):
     """A `Recording` of one KITTI raw drive.
 
-    Times come from `timestamps.txt`, read as UTC; its first line is the drive's frame 0. Without that file, times count
-    from the drive's frame 0.
+    Times come from `timestamps.txt`, read as UTC; its first line is the drive's frame 0.
     """
 
     format: ClassVar[str] = "kitti_raw"
@@ -321,46 +486,29 @@ class KittiRaw(KittiFolder):
             self.path / CAMERAS, "the calibration is missing", f"copy {CAMERAS} and {LIDAR} of the drive's day there"
         )
 
-    def time_ns(self, number: int) -> int:
-        times, path = self._times, self.path / RAW_TIMES
-        if times is None:
-            return number * PERIOD_NS
-        time_ns = times[number] if number < len(times) else None
-        if time_ns is None:
-            raise FrameError(
-                path,
-                f"line {number + 1} must be the time of frame {number}",
-                "copy it again, or remove it to use times from the frame numbers",
-            )
-        return time_ns
+    times_name: ClassVar[str] = "image_02/timestamps.txt"
 
-    @cached_property
-    def _times(self) -> tuple[int | None, ...] | None:
-        """The time of each line, nanoseconds since the epoch; None for an invalid line. None without the file."""
-        path = self.path / RAW_TIMES
-        if not path.is_file():
+    def oxts_places(self) -> tuple[Path, ...]:
+        return (self.path / "oxts/data",)
+
+    @staticmethod
+    def time_of(line: str) -> int | None:
+        try:
+            return int(np.datetime64(line, "ns").astype(np.int64)) if TIME.fullmatch(line) else None
+        except ValueError:  # such as the 31st of February
             return None
-        with file_errors(path, "copy it again from the data set"):
-            return tuple(_nanoseconds(line.strip()) for line in read_text_file(path, TABLE_BYTES).splitlines())
-
-
-def _nanoseconds(line: str) -> int | None:
-    try:
-        return int(np.datetime64(line, "ns").astype(np.int64)) if TIME.fullmatch(line) else None
-    except ValueError:  # such as the 31st of February
-        return None
 
 
 def open_kitti_raw(path: Path, options: ReaderOptions) -> KittiRaw | None:
     """Opens the KITTI raw drive at `path`; None if it is not one. Takes the option `columns`."""
     places = "image_02/data", "velodyne_points/data"
     keys = keys_in(path, *places)
-    return None if keys is None else KittiRaw(path, keys, path, *places, reader=Scans(options.columns))
+    return None if keys is None else _with_poses(KittiRaw(path, keys, path, *places, reader=Scans(options.columns)))
 
 
 @dataclass(frozen=True, eq=False)
 class KittiTracking(KittiFolder, Scenes):
-    """A `Recording` of one KITTI drive; its times count from the drive's frame 0.
+    """A `Recording` of one KITTI drive, or of a sequence of the odometry; its times count from the drive's frame 0.
 
     `scene` is the drive's name within a data set, "" for a folder of one drive.
     """
@@ -368,6 +516,7 @@ class KittiTracking(KittiFolder, Scenes):
     scene: str = ""
     scenes: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    times_name: ClassVar[str] = "times.txt"
     format: ClassVar[str] = "kitti_tracking"
     is_sequence: ClassVar[bool] = True
 
@@ -383,6 +532,9 @@ class KittiTracking(KittiFolder, Scenes):
     def calibration(self, key: str) -> KittiCalibration:
         return read_calibration(self._of_drive("calib"))
 
+    def oxts_places(self) -> tuple[Path, ...]:
+        return (self._of_drive("oxts"),)
+
     def _of_drive(self, kind: str) -> Path:
         return self.root / kind / f"{self.scene}.txt" if self.scene else self.root / f"{kind}.txt"
 
@@ -396,13 +548,15 @@ def open_kitti_tracking(path: Path, options: ReaderOptions) -> KittiTracking | N
         drives = _drives(root)
         if drives:
             return _sequence(path, root, drives, options)
-    keys = keys_in(path, IMAGES, SCANS)
+    images = IMAGES if (path / IMAGES).is_dir() else "image_2"
+    keys = keys_in(path, images, SCANS)
     if keys is None:
         return None
     if options.scene is not None:
         raise ConfigError(f"{path}: is one drive of KITTI, which takes no --scene")
     require_calibration(path, "a KITTI tracking folder", "calib.txt", "velodyne/")
-    return KittiTracking(path, keys, path, IMAGES, SCANS, reader=Scans(options.columns))
+    drive = KittiTracking(path, keys, path, images, SCANS, reader=Scans(options.columns))
+    return _with_poses(drive, path / ODOMETRY, path.resolve().parents[1] / "poses" / f"{path.resolve().name}.txt")
 
 
 def _drives(root: Path) -> list[str]:
@@ -415,4 +569,5 @@ def _sequence(path: Path, root: Path, drives: list[str], options: ReaderOptions)
     scene, notes = choose(path, "scene", options.scene, drives, drives[0])
     images, scans = f"{IMAGES}/{scene}", f"{SCANS}/{scene}"
     keys = keys_in(root, images, scans) or sorted_keys(root, set(), f"{images}/KEY.png and {scans}/KEY.bin")
-    return KittiTracking(path, keys, root, images, scans, scene, tuple(drives), notes, reader=Scans(options.columns))
+    reader = Scans(options.columns)
+    return _with_poses(KittiTracking(path, keys, root, images, scans, scene, tuple(drives), notes, reader=reader))

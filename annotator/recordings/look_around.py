@@ -9,7 +9,7 @@ one of them. The image is rendered from the points; the cloud is the whole scan.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from math import pi, radians, tan
 from pathlib import Path
@@ -69,7 +69,7 @@ class Scan:
     """A whole scan of a LiDAR, also where no camera looks.
 
     Attributes:
-        raw: the points in the scan's own frame.
+        read: reads the points, in the scan's own frame.
         R_level_scan: turns the scan's frame to x ahead, y left, z against gravity.
         place_m: the place in the scan's frame from which virtual cameras look.
         T_scan_label: from the frame of the recording's label files, as `Frame.T_camera_label`.
@@ -78,7 +78,7 @@ class Scan:
         T_world_scan: pose of the scan's frame, as `Frame.T_world_camera`.
     """
 
-    raw: RawCloud
+    read: Callable[[], RawCloud]
     R_level_scan: Rotation
     place_m: Float64[np.ndarray, "3"]
     T_scan_label: RigidTransform
@@ -86,13 +86,22 @@ class Scan:
     timestamp_ns: int | None = None
     T_world_scan: RigidTransform | None = None
 
+    def T_camera_scan(self, R_camera_level: Rotation) -> RigidTransform:
+        """The transform to a virtual camera at the scan's place."""
+        turn = RigidTransform.from_rotation(R_camera_level * self.R_level_scan)
+        return turn * RigidTransform.from_translation(-self.place_m)
+
+    def T_world_camera(self, R_camera_level: Rotation) -> RigidTransform | None:
+        """The pose of that camera; None if it is not known."""
+        return None if self.T_world_scan is None else self.T_world_scan * self.T_camera_scan(R_camera_level).inv()
+
 
 class Scanned(Recording):
     """A recording of a LiDAR."""
 
     @abstractmethod
     def scan(self, i: int) -> Scan:
-        """Reads the scan of frame `i`."""
+        """Returns the scan of frame `i`, whose points are read where they are needed."""
 
 
 def level_turn(up: Float64[np.ndarray, "3"], ahead: Float64[np.ndarray, "3"]) -> Rotation:
@@ -143,6 +152,13 @@ class LookAround(Scanned, RigCamera):
     def origin(self) -> Place | None:
         return self.base.origin
 
+    @property
+    def pose_source(self) -> str | None:
+        return self.base.pose_source
+
+    def pose(self, i: int) -> RigidTransform | None:
+        return self.base.scan(i).T_world_camera(self._R_camera_level())
+
     def files(self, i: int) -> tuple[Path, ...]:
         return self.base.files(i)
 
@@ -190,9 +206,7 @@ def virtual_camera(count: int) -> Camera:
 
 def virtual_frame(scan: Scan, key: str, index: int, camera: Camera, R_camera_level: Rotation) -> Frame:
     """Returns a scan as seen by a virtual camera at its place; the cloud is the whole scan."""
-    R_camera_scan = R_camera_level * scan.R_level_scan
-    T_camera_scan = RigidTransform.from_rotation(R_camera_scan) * RigidTransform.from_translation(-scan.place_m)
-    raw = scan.raw
+    T_camera_scan, raw = scan.T_camera_scan(R_camera_level), scan.read()
     cloud = PointCloud(T_camera_scan.apply(raw.xyz_m).astype(np.float32), rgb=raw.rgb, reflectance=raw.reflectance)
     return Frame(
         key,
@@ -203,5 +217,5 @@ def virtual_frame(scan: Scan, key: str, index: int, camera: Camera, R_camera_lev
         up=R_camera_level.apply([0.0, 0.0, 1.0]) if scan.knows_up else None,
         T_camera_label=T_camera_scan * scan.T_scan_label,
         timestamp_ns=scan.timestamp_ns,
-        T_world_camera=None if scan.T_world_scan is None else scan.T_world_scan * T_camera_scan.inv(),
+        T_world_camera=scan.T_world_camera(R_camera_level),
     )

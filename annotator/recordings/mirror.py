@@ -19,6 +19,8 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from scipy.spatial.transform import RigidTransform
+
 from annotator.files import unfinished_folder
 from annotator.recordings.open import NO_OPTIONS, open_recording
 from annotator.recordings.recording import ReaderOptions, Recording
@@ -28,7 +30,7 @@ from annotator.types import Frame
 from annotator.types.errors import RecordingError
 
 # Ends of the names of files beside a recording's folders that readers need when they open it.
-DESCRIPTIONS = (".json", ".txt", ".xml", ".csv", ".yaml", ".yml", "metadata")
+DESCRIPTIONS = (".json", ".txt", ".log", ".xml", ".csv", ".yaml", ".yml", "metadata")
 # An hour of poses is smaller.
 LARGEST_DESCRIPTION_BYTES = 3 * 10**7
 # Files of a folder of ROS 2, which hold all frames.
@@ -108,14 +110,27 @@ class Mirror(Recording):
     def notes(self) -> tuple[str, ...]:
         return self.opened.notes
 
+    @property
+    def pose_source(self) -> str | None:
+        return self.opened.pose_source
+
     def frame(self, i: int) -> Frame:
+        with self._fetched(i):
+            return self.opened.frame(i)
+
+    def pose(self, i: int) -> RigidTransform | None:
+        with self._fetched(i):
+            return self.opened.pose(i)
+
+    @contextmanager
+    def _fetched(self, i: int) -> Iterator[None]:
         key = self.key(i)
         # one by one: those that have arrived stay if a later one fails
         for path in self.shared:
             self.store.fetch([path])
         self.store.fetch(self.of_key.get(key, []), key)
         with self.store.url_in_errors():
-            return self.opened.frame(i)
+            yield
 
     def close(self) -> None:
         """Removes the copy; no frame can be read afterwards. Garbage collection also removes it."""

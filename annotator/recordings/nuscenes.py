@@ -272,29 +272,38 @@ class NuScenes(Scanned, RigCamera, Scenes):
         xyz_m = (T_camera_global * T_global_lidar).apply(points.xyz_m)
         cloud = visible_cloud(scan_file, camera, xyz_m, points, rgb, "check the poses in the tables")
         up = T_camera_global.rotation.apply(GLOBAL_UP)
-        world = T_camera_global.inv() if _knows_world(image) else None
-        moment = {"timestamp_ns": image.time_us * 1000, "T_world_camera": world}
+        moment = {"timestamp_ns": image.time_us * 1000, "T_world_camera": self.pose(i)}
         return picture.frame(key, i, camera, cloud, up=up, T_camera_label=T_camera_global, **moment)
 
     def scan(self, i: int) -> Scan:
-        """Reads the whole scan of frame `i`; ahead is where the camera looks; without one, where the vehicle does."""
+        """Returns the scan of frame `i`; ahead is where the camera looks; without one, where the vehicle does."""
         self.key(i)
         image, scan = self.moments[i]
         T_camera_global, T_global_lidar = self._poses(image, scan)
-        points = SCANS.read_alone(self.files(i)[-1])
         R_lidar_global = T_global_lidar.rotation.inv()
         if self.camera:
             ahead = R_lidar_global.apply(T_camera_global.rotation.inv().apply(FORWARD))
         else:
             ahead = pose(scan.mount.translation, scan.mount.rotation).rotation.inv().apply(AHEAD)
         return Scan(
-            points,
+            lambda: SCANS.read_alone(self.files(i)[-1]),
             level_turn(R_lidar_global.apply(GLOBAL_UP), ahead),
             np.zeros(3),
             T_global_lidar.inv(),
             timestamp_ns=scan.time_us * 1000,
             T_world_scan=T_global_lidar if _knows_world(scan) else None,
         )
+
+    @property
+    def pose_source(self) -> str | None:
+        return "ego_pose.json" if any(_knows_world(image) for image, _ in self.moments) else None
+
+    def pose(self, i: int) -> RigidTransform | None:
+        self.key(i)
+        image, scan = self.moments[i]
+        if not self.camera:
+            return self.scan(i).T_world_camera(R_CAMERA_LEVEL)
+        return self._poses(image, scan)[0].inv() if _knows_world(image) else None
 
     def moment(self, i: int) -> str:
         self.key(i)

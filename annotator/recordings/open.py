@@ -117,7 +117,7 @@ READERS: dict[str, Reader] = {
     "kitti_object": Reader("kitti:open_kitti_object", "a KITTI object folder", ("image_2/", "velodyne/", "calib/"),
                            ("columns",)),
     "kitti_tracking": Reader("kitti:open_kitti_tracking", "a KITTI tracking folder of one sequence",
-                             ("image_02/", "velodyne/", "calib.txt"), ("columns", "scene")),
+                             ("image_02/|image_2/", "velodyne/", "calib.txt"), ("columns", "scene")),
     "kitti_raw": Reader("kitti:open_kitti_raw", "a KITTI raw drive", ("image_02/data/", "velodyne_points/data/"),
                         ("columns",)),
     "azure_kinect": Reader("kinect.mkv_recording:open_azure_kinect", "an Azure Kinect recording",

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, ValidationError
+from scipy.spatial.transform import RigidTransform
 
 from annotator.types import Frame
 from annotator.types.bases import Strict
@@ -141,6 +142,19 @@ class Recording(ABC):
     @property
     def origin(self) -> Place | None:
         """The origin in map coordinates; None in a sensor's coordinates, or with a real camera. It may read a cloud."""
+        return None
+
+    @property
+    def pose_source(self) -> str | None:
+        """The file or topic of the frames' poses; None without poses, and where only the clouds are in a map."""
+        return None
+
+    def pose(self, i: int) -> RigidTransform | None:
+        """Returns `T_world_camera` of frame `i` at its time, as in `Frame`; None if it is not known.
+
+        It reads a cloud only if that says where the virtual camera stands.
+        """
+        self.key(i)
         return None
 
     @cached_property

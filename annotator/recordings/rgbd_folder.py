@@ -6,6 +6,7 @@ camera_intrinsic.json
 depth_intrinsic.json   of another camera; optional
 gravity.json        optional: {"up": [x, y, z]} in the camera frame
 timestamps.csv      optional: capture time of each frame (`frame_times`)
+poses.csv, or a trajectory of Open3D   optional: poses of the colour camera (`poses`)
 mask/, boxes.json   optional labels; read by annotator.formats, not here
 """
 
@@ -35,6 +36,7 @@ from annotator.recordings.listing import (
     stems,
 )
 from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole, is_rotation, pinhole
+from annotator.recordings.poses import Poses, read_open3d, read_poses
 from annotator.recordings.recording import Recording
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera, Frame, PointCloud
@@ -128,7 +130,9 @@ def camera_file(folder: Path) -> Path:
 
 def _has_matrix(path: Path) -> bool:
     with file_errors(path, "correct or remove it"):
-        return path.is_file() and '"intrinsic_matrix"' in read_text_file(path)
+        text = read_text_file(path) if path.is_file() else ""
+        # a trajectory has a camera for each pose
+        return '"intrinsic_matrix"' in text and '"extrinsic"' not in text
 
 
 def read_camera(path: Path, depth_scale: float = MM_PER_M) -> RgbdCamera:
@@ -225,6 +229,7 @@ class RgbdFolder(Recording):
     color: Path
     times_ns: Times | None = None
     told: tuple[str, ...] = ()
+    poses: Poses | None = None
     format: ClassVar[str] = "rgbd_folder"
     is_sequence: ClassVar[bool] = True
     is_parallel: ClassVar[bool] = True
@@ -239,8 +244,20 @@ class RgbdFolder(Recording):
         key, (color_path, depth_path) = self.key(i), self.files(i)
         color = read_camera(camera_file(self.path))
         image, cloud, depth_m = read_images(self.path, color_path, depth_path, color)
-        time_ns, up = None if self.times_ns is None else self.times_ns[i], read_up(self.path / "gravity.json")
-        return image.frame(key, i, color.camera, cloud, depth_m=depth_m, up=up, timestamp_ns=time_ns)
+        moment = {"timestamp_ns": self._time_ns(i), "T_world_camera": self.pose(i)}
+        up = read_up(self.path / "gravity.json")
+        return image.frame(key, i, color.camera, cloud, depth_m=depth_m, up=up, **moment)
+
+    @property
+    def pose_source(self) -> str | None:
+        return None if self.poses is None else self.poses.source
+
+    def pose(self, i: int) -> RigidTransform | None:
+        self.key(i)
+        return None if self.poses is None else self.poses.at(i, self._time_ns(i))
+
+    def _time_ns(self, i: int) -> int | None:
+        return None if self.times_ns is None else self.times_ns[i]
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -275,7 +292,11 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | None:
         return None
     keys = joined(stems(color, IMAGE_SUFFIXES), stems(depth, (".png",)))
     ordered = sorted_keys(path, keys, f"images in {color.name}/ and depth/")
-    return RgbdFolder(path, ordered, color, *read_times(path, ordered))
+    times_ns, told = read_times(path, ordered)
+    poses, more = read_poses(path, ordered, times_ns), tuple[str, ...]()
+    if poses is None:
+        poses, more = read_open3d(path, len(ordered))
+    return RgbdFolder(path, ordered, color, times_ns, (*told, *more), poses)
 
 
 def read_images(

@@ -2,7 +2,7 @@
 
 rgb.txt, depth.txt    a line `timestamp file` for each image; seconds, `#` begins a comment
 rgb/, depth/          PNG or JPEG; uint16, 5000 units per metre, registered to the colour images
-groundtruth.txt       optional: `timestamp tx ty tz qx qy qz qw`, pose of the colour camera
+groundtruth.txt       optional: `timestamp tx ty tz qx qy qz qw`, pose of the colour camera in the world, in time order
 camera_intrinsic.json optional; also depth_intrinsic.json, as in an RGB-D folder
 
 Format: cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats. Each colour image is paired with the depth image nearest
@@ -20,16 +20,15 @@ from pathlib import Path, PurePosixPath
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float64, Int64
-from scipy.spatial.transform import Rotation
+from jaxtyping import Int64
+from scipy.spatial.transform import RigidTransform
 
 from annotator.files import TABLE_BYTES, read_text_file, why_missing
-from annotator.recordings.frame_times import nearest
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors
-from annotator.recordings.plausible import are_plausible
+from annotator.recordings.poses import Poses, numbers
 from annotator.recordings.recording import ReaderOptions, Recording
 from annotator.recordings.rgbd_folder import FILE_NAME, RgbdCamera, read_camera, read_images
-from annotator.text import OutsideError, inside, normal, posix_path, stem_of, to_number
+from annotator.text import OutsideError, inside, normal, posix_path, stem_of
 from annotator.types import Camera, Frame
 from annotator.types.checks import seconds_ns
 from annotator.types.errors import FrameError, RecordingError
@@ -43,6 +42,7 @@ CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 OWN_NAME = "freiburg"
 TOLERANCE_S = 0.02
 S_TO_NS = 10**9
+Z = np.array([0.0, 0.0, 1.0])
 # A colour image is compared with this many depth images before and after it.
 NEIGHBOURS = 3
 REMEDY = "correct the line, or remove it"
@@ -53,21 +53,6 @@ DECIMAL_COMMA = re.compile(r"\d+,\d+\s")
 
 
 @dataclass(frozen=True, eq=False)
-class Poses:
-    """Orientations of the colour camera in TUM's world, in time order: (n, 4) x y z w, camera to world."""
-
-    times_ns: Int64[np.ndarray, "n"]
-    quaternions: Float64[np.ndarray, "n 4"]
-
-    def up(self, time_ns: int, tolerance_ns: int) -> Float64[np.ndarray, "3"] | None:
-        """Returns the unit vector against gravity in the camera's frame; None without a pose near this time."""
-        near = int(nearest(np.array([time_ns]), self.times_ns)[0])
-        if abs(int(self.times_ns[near]) - time_ns) > tolerance_ns:
-            return None
-        return np.asarray(Rotation.from_quat(self.quaternions[near]).inv().apply([0.0, 0.0, 1.0]))
-
-
-@dataclass(frozen=True, eq=False)
 class TumRgbd(Recording):
     """A `Recording` in TUM's format. Frames are named by their colour images, and have the times of these.
 
@@ -75,7 +60,7 @@ class TumRgbd(Recording):
         images: the colour and the depth image of each frame, relative to the folder.
         tolerance_ns: largest difference in time of an image and its partner.
         unpaired: number of colour images without a depth image within the tolerance.
-        poses: None if the direction of gravity is not known.
+        poses: of the colour camera; None without groundtruth.txt.
     """
 
     images: tuple[tuple[str, str], ...] = field(repr=False)
@@ -117,8 +102,19 @@ class TumRgbd(Recording):
         if camera.path.is_file():
             camera = read_camera(camera.path, UNITS_PER_M)
         image, cloud, depth_m = read_images(self.path, color, depth, camera)
-        up = None if self.poses is None else self.poses.up(self.times_ns[i], self.tolerance_ns)
-        return image.frame(key, i, camera.camera, cloud, depth_m=depth_m, up=up, timestamp_ns=self.times_ns[i])
+        T = self.pose(i)
+        # the worlds of other recordings may be those of their first image
+        up = T.rotation.inv().apply(Z) if T is not None and OWN_NAME in self.path.resolve().name else None
+        moment = {"timestamp_ns": self.times_ns[i], "T_world_camera": T}
+        return image.frame(key, i, camera.camera, cloud, depth_m=depth_m, up=up, **moment)
+
+    @property
+    def pose_source(self) -> str | None:
+        return None if self.poses is None else self.poses.source
+
+    def pose(self, i: int) -> RigidTransform | None:
+        self.key(i)
+        return None if self.poses is None else self.poses.at(i, self.times_ns[i])
 
     def _file(self, name: str) -> Path:
         """Returns the path of a listed file, which must lie in the folder, or in one that is linked into it."""
@@ -155,7 +151,7 @@ def open_tum_rgbd(path: Path, options: ReaderOptions) -> TumRgbd | None:
         tuple(int(color_times[at]) for at, _ in pairs),
         tolerance_ns,
         len(colors) - len(pairs),
-        _poses(path / POSES) if OWN_NAME in path.resolve().name and (path / POSES).is_file() else None,
+        _poses(path / POSES),
     )
 
 
@@ -216,20 +212,12 @@ def _pairs(times: Int64[np.ndarray, "n"], others: Int64[np.ndarray, "m"], tolera
 
 
 def _poses(path: Path) -> Poses | None:
-    lines = _lines(path)
-    rows = [
-        (_time_ns(path, number, SEPARATOR.split(line)[0]), _quaternion(path, number, line)) for number, line in lines
-    ]
-    rows.sort(key=lambda row: row[0])
-    if not rows:
+    if not path.is_file():
         return None
-    return Poses(np.array([time for time, _ in rows], np.int64), np.array([quaternion for _, quaternion in rows]))
-
-
-def _quaternion(path: Path, number: int, line: str) -> list[float]:
-    words = SEPARATOR.split(line)
-    with file_errors(path, REMEDY, f"line {number}: ", RecordingError):
-        numbers = [to_number(word) for word in words[4:8]]
-    if len(words) != 8 or not are_plausible(np.array(numbers)) or not 0.99 < np.linalg.norm(numbers) < 1.01:
-        raise RecordingError(f"{path}:{number}: must be a time, a place and a unit quaternion; {REMEDY}")
-    return numbers
+    rows = []
+    for line, text in _lines(path):
+        time, *words = SEPARATOR.split(text)
+        if len(words) != 7:
+            raise RecordingError(f"{path}:{line}: must be a time, a place and a unit quaternion; {REMEDY}")
+        rows.append((line, _time_ns(path, line, time), numbers(path, line, words)))
+    return Poses.listed(path, rows)

@@ -1,4 +1,4 @@
-"""Generated scenes, and their presets: people in a furnished room, the hands of a person, and moving objects.
+"""Generated scenes, and their presets: people in a room, the hands of a person, moving objects, and a tour of a room.
 
 World frame of the room: z up, origin on the floor at the camera's end, y into the room.
 """
@@ -15,9 +15,11 @@ from annotator.synthetic.arrangements import Actor, Arrangement, Placed, room, t
 from annotator.synthetic.hands import hand_mesh, moving
 from annotator.synthetic.materials import Lights, Material, Palette, random_colour, wood
 from annotator.synthetic.mesh import Mesh, Parts, box_mesh, joined, turn, xyz
+from annotator.synthetic.objects import random_object
 from annotator.synthetic.people import (
     PERIOD_S,
     Looks,
+    Walker,
     arm,
     armless_body,
     body_mesh,
@@ -70,10 +72,11 @@ NEAR_M, FAR_M, SIDEWAYS, MARGIN_M = 2.6, 4.4, 0.42, 0.3
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """The moving meshes at one moment: labelled actors and unlabelled meshes."""
+    """The moving meshes at one moment: labelled actors and unlabelled meshes; and the camera, if it moves."""
 
     actors: tuple[Actor, ...]
     rest: tuple[Mesh, ...] = ()
+    T_world_camera: RigidTransform | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,16 +144,58 @@ def people_scene(random: np.random.Generator) -> Scene:
 
     def moments() -> Iterator[Moment]:
         for walkers in zip(*walks, strict=True):
-            actors = []
-            for track, (walker, person) in enumerate(zip(walkers, looks, strict=True), start=1):
-                axes = turn("z", walker.yaw)
-                mesh = (
-                    body_mesh(person, walker.pose).moved(axes, xyz(walker.place[0], walker.place[1], 0)).tracked(track)
-                )
-                actors.append(Actor(track, "person", mesh, axes))
-            yield Moment(tuple(actors))
+            both = enumerate(zip(walkers, looks, strict=True), start=1)
+            yield Moment(tuple(_person(track, walker, person) for track, (walker, person) in both))
 
     return Scene(palette, still, Lights((0.5, 2.1, 2.6)), pose, moments())
+
+
+# Rows of objects in the room of a tour, and those between them in which people pace, metres along y.
+OBJECT_ROWS, PEOPLE_ROWS, PER_ROW = (1.6, 2.8, 4.0), (2.2, 3.4, 4.6), 4
+# Of the camera's way: to the sides, to and fro, metres; time for it, seconds; and where it looks.
+WAY_M, WAY_S, LOOKS_AT = (1.7, 0.5), 20.0, (0.0, 3.2)
+
+
+def tour_scene(random: np.random.Generator) -> Scene:
+    """Twelve objects that stand in a room, and three people who pace between them, seen on a way along the room."""
+    palette = Palette()
+    walls = []
+    for middle, size in SHELL:
+        surface = palette.add(Material(random_colour(random, 0.3, 0.6), grain=0.05))
+        walls.append(box_mesh(middle, size, surface))
+    looks = [random_looks(palette, random) for _ in PEOPLE_ROWS]
+    walks = [pacing(float(x), y, SIDEWAYS * y, random) for x, y in zip((-0.8, 0.1, 0.9), PEOPLE_ROWS, strict=True)]
+    objects = []
+    for y in OBJECT_ROWS:
+        for x in np.linspace(-1.8, 1.8, PER_ROW):
+            mesh = random_object(palette, random).scaled(random.uniform(0.3, 0.6))
+            place = xyz(float(x + random.uniform(-0.25, 0.25)), y, -float(mesh.vertices[:, 2].min()))
+            objects.append(Placed(mesh, turn("z", random.uniform(0, 2 * np.pi)), place, 0.3))
+    still = tuple(placed.actor(track) for track, placed in enumerate(objects, start=1))
+    height, tilt, phase = random.uniform(1.5, 1.7), (-0.3, random.uniform(-0.03, 0.03)), random.uniform(0, 2 * np.pi)
+
+    def camera(time_s: float) -> RigidTransform:
+        angle = 2 * np.pi * time_s / WAY_S + phase
+        place = xyz(WAY_M[0] * np.sin(angle), WAY_M[1] * np.sin(2 * angle) - 0.4, height)
+        yaw = -np.arctan2(*(np.array(LOOKS_AT) - place[:2]))
+        level = _camera_pose(xyz(0, 0, 0), *tilt)
+        return RigidTransform.from_components(place, Rotation.from_euler("z", yaw) * level.rotation)
+
+    def moments() -> Iterator[Moment]:
+        for number, walkers in enumerate(zip(*walks, strict=True)):
+            people = tuple(
+                _person(track, walker, person)
+                for track, (walker, person) in enumerate(zip(walkers, looks, strict=True), start=len(still) + 1)
+            )
+            yield Moment((*still, *people), (), camera(number * PERIOD_S))
+
+    return Scene(palette, joined(walls), Lights((0.3, 2.1, 2.6)), camera(0.0), moments())
+
+
+def _person(track: int, walker: Walker, looks: Looks) -> Actor:
+    axes = turn("z", walker.yaw)
+    mesh = body_mesh(looks, walker.pose).moved(axes, xyz(walker.place[0], walker.place[1], 0)).tracked(track)
+    return Actor(track, "person", mesh, axes)
 
 
 def hands_scene(random: np.random.Generator) -> Scene:

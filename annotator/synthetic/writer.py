@@ -1,18 +1,20 @@
 """Generated recordings on disk: an RGB-D folder for `rgbd_folder`; the exact truth in a separate folder.
 
 color/KEY.jpg  depth/KEY.png  camera_intrinsic.json  gravity.json    as from a camera
+poses.csv                                                            of a camera that moves; they may drift
 generated.json                                                       the parameters of the generator
-truth/boxes.json  truth/mask/KEY.png                                 the exact ground truth
+truth/boxes.json  truth/mask/KEY.png  truth/poses.csv                the exact ground truth
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import new_folder
 from annotator.geometry.oriented_box import box_corners
@@ -21,7 +23,7 @@ from annotator.synthetic.arrangements import Actor
 from annotator.synthetic.mesh import joined
 from annotator.synthetic.people import PERIOD_S
 from annotator.synthetic.render import Sensor, colour_image, depth_image, render, whole_px
-from annotator.synthetic.scene import Scene, hands_scene, objects_scene, people_scene
+from annotator.synthetic.scene import Moment, Scene, hands_scene, objects_scene, people_scene, tour_scene
 from annotator.types import Camera
 from annotator.types.errors import ConfigError
 
@@ -29,6 +31,7 @@ from annotator.types.errors import ConfigError
 LEAST_VISIBLE = 0.1
 LEAST_PIXELS = 100
 VERSION = 3
+MOST_DRIFT = 0.2
 # The field of view of common RGB-D cameras: 525 px at a width of 640.
 FOCAL_PER_WIDTH = 525 / 640
 
@@ -36,6 +39,7 @@ PRESETS: dict[str, Callable[[np.random.Generator], Scene]] = {
     "people": people_scene,
     "hands": hands_scene,
     "objects": objects_scene,
+    "tour": tour_scene,
 }
 
 Report = Callable[[int, int], None]
@@ -49,6 +53,7 @@ def write_generated(
     width: int = 640,
     height: int = 480,
     report: Report | None = None,
+    drift: float = 0.0,
 ) -> None:
     """Writes a generated recording; the folder is created only when the recording is complete.
 
@@ -57,6 +62,7 @@ def write_generated(
         seed: the same seed gives the same bytes.
         width, height: image size, pixels.
         report: called with (frames done, frames) after each frame.
+        drift: of the poses of a camera that moves, share of the way.
     """
     if preset not in PRESETS:
         raise ConfigError(f"unknown preset {preset!r}; choose one of {', '.join(PRESETS)}")
@@ -66,6 +72,10 @@ def write_generated(
         raise ConfigError(f"the seed must be 0 or more, not {seed}")
     if width < 16 or height < 16:
         raise ConfigError(f"the image must have at least 16 x 16 pixels, not {width} x {height}")
+    if not 0 <= drift <= MOST_DRIFT:
+        raise ConfigError(f"the drift must be a share of the way, 0 to {MOST_DRIFT}, not {drift:g}")
+    if drift and preset != "tour":
+        raise ConfigError(f"the camera of {preset} stands still, so that its poses do not drift; leave the drift out")
     focal = FOCAL_PER_WIDTH * width
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
     with new_folder(path, lambda _: False) as folder:
@@ -74,24 +84,55 @@ def write_generated(
             (folder / name).mkdir(parents=True)
         # with the same version, these reproduce the recording byte for byte
         parameters = {"version": VERSION, "preset": preset, "seed": seed, "frames": frames, "period_s": PERIOD_S}
+        parameters |= {"drift": drift} if drift else {}
         (folder / "generated.json").write_text(json.dumps(parameters, indent=1) + "\n")
         matrix = {"width": width, "height": height, "intrinsic_matrix": camera.matrix.T.ravel().tolist()}
         _write_json(folder / "camera_intrinsic.json", matrix)
         up = scene.T_world_camera.rotation.inv().apply([0.0, 0.0, 1.0])
         _write_json(folder / "gravity.json", {"up": up.tolist()})
-        boxes = {}
+        boxes, poses = {}, list[RigidTransform]()
         for i in range(frames):
-            boxes[f"{i:06}"] = _write_frame(folder, f"{i:06}", camera, scene, np.random.default_rng([VERSION, seed, i]))
+            random, moment = np.random.default_rng([VERSION, seed, i]), next(scene.moments)
+            poses.append(scene.T_world_camera if moment.T_world_camera is None else moment.T_world_camera)
+            boxes[f"{i:06}"] = _write_frame(folder, f"{i:06}", camera, scene, moment, poses[-1], random)
             if report is not None:
                 report(i + 1, frames)
         _write_json(folder / "truth" / "boxes.json", boxes)
+        if moment.T_world_camera is not None:
+            _write_poses(folder / "truth" / "poses.csv", poses)
+            _write_poses(folder / "poses.csv", drifting(poses, drift))
+
+
+def drifting(poses: list[RigidTransform], drift: float) -> list[RigidTransform]:
+    """Poses as odometry has them: each step is too long, and turned about the vertical, both by a share of the way."""
+    found = poses[:1]
+    for first, second in pairwise(poses):
+        step = second.translation - first.translation
+        turned = Rotation.from_euler("z", 0.5 * drift * np.linalg.norm(step))
+        # what went before has turned the step, too
+        so_far = found[-1].rotation * first.rotation.inv()
+        place = found[-1].translation + (1 + drift) * so_far.apply(step)
+        found.append(RigidTransform.from_components(place, turned * so_far * second.rotation))
+    return found
+
+
+def _write_poses(path: Path, poses: list[RigidTransform]) -> None:
+    rows = (np.r_[T.translation, T.rotation.as_quat(scalar_first=True)] for T in poses)
+    # rounded, so that the text does not depend on the last bits
+    lines = [f"{i:06}," + ",".join(f"{value + 0.0:.9f}" for value in row) for i, row in enumerate(rows)]
+    path.write_text("\n".join(["key,x,y,z,qw,qx,qy,qz", *lines]) + "\n")
 
 
 def _write_frame(
-    folder: Path, key: str, camera: Camera, scene: Scene, random: np.random.Generator
+    folder: Path,
+    key: str,
+    camera: Camera,
+    scene: Scene,
+    moment: Moment,
+    pose: RigidTransform,
+    random: np.random.Generator,
 ) -> list[dict[str, object]]:
     """Writes the images of a frame and its mask: the positions of the objects in the list, from 1; 0 elsewhere."""
-    moment, pose = next(scene.moments), scene.T_world_camera
     mesh = joined([scene.still, *moment.rest, *(actor.mesh for actor in moment.actors)])
     ideal = render(camera, pose, mesh, scene.palette, scene.lights)
     objects: list[dict[str, object]] = []

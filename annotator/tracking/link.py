@@ -75,8 +75,12 @@ def overlap_at_place(first: Sequence[OrientedBox], second: Sequence[OrientedBox]
     """
     if not first or not second:
         return np.zeros((len(first), len(second)))
-    iou = np.maximum(iou_3d_matrix(first, second), np.finfo(np.float64).tiny)
     centers = [np.array([box.center_m for box in boxes]) for boxes in (first, second)]
+    reach = [np.linalg.norm([box.size_m for box in boxes], axis=1) / 2 for boxes in (first, second)]
+    apart = np.linalg.norm(centers[0][:, None] - centers[1][None], axis=2)
+    if (apart > reach[0][:, None] + reach[1][None]).all():
+        return np.zeros(apart.shape)
+    iou = np.maximum(iou_3d_matrix(first, second), np.finfo(np.float64).tiny)
     holds_second = np.array([contains(box, centers[1]) for box in first])
     holds_first = np.array([contains(box, centers[0]) for box in second])
     return np.where((iou >= SAME_PLACE_IOU) | (holds_second & holds_first.T), iou, 0.0)

@@ -236,9 +236,13 @@ def between(
         )
     last = relabelled(last, nearest_change(last, first, relabellings(are_upright([first, last]))))
     turn = Slerp([0.0, 1.0], Rotation.concatenate([first.T_camera_box.rotation, last.T_camera_box.rotation]))
-    boxes = []
-    for share in ((time - first_time) / (last_time - first_time) for time in times):
-        center = (1 - share) * first.center_m + share * last.center_m
-        size = (1 - share) * first.size_m + share * last.size_m
-        boxes.append(OrientedBox.from_parts(center, turn(share).as_matrix(), np.asarray(size)))
-    return boxes
+    shares = (np.array(times) - first_time) / (last_time - first_time)
+    rotations = turn(shares).as_matrix() if len(shares) else ()  # scipy cannot turn nothing
+    return [
+        OrientedBox.from_parts(
+            (1 - share) * first.center_m + share * last.center_m,
+            rotation,
+            (1 - share) * first.size_m + share * last.size_m,
+        )
+        for share, rotation in zip(shares, rotations, strict=True)
+    ]

@@ -123,8 +123,8 @@ class Frame:
         timestamp_ns: capture time; None if unknown.
         T_camera_recorded: from the camera frame as the recording's files give it, to the corrected one; None if the
             project does not correct the calibration.
-        T_world_camera: pose of the camera in map coordinates: those of the recording's clouds, or of its poses; None
-            without such.
+        T_world_camera: pose of the camera in a world that is the same for all frames: the map coordinates of the
+            recording's clouds, else that of its poses (`Recording.pose`); None without such.
         exif_orientation: of the image file if `rgb` has its pixels as stored, not as viewers show them; else 1.
     """
 

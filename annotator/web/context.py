@@ -22,6 +22,7 @@ from starlette.requests import HTTPConnection
 from annotator.project import Project, StoredRecording, open_project
 from annotator.project.config import check_name
 from annotator.project.database.store import BUSY_TIMEOUT_S, patience_s, waiting_at_most
+from annotator.recordings import Recording
 from annotator.types.errors import AnnotatorError, ConfigError, NotFoundError, ProjectError
 from annotator.web.errors import NotSignedInError, hide_paths, without_commands
 from annotator.web.folders import JOBS_FOLDER, Folders
@@ -277,6 +278,10 @@ class InProject:
         if self._project is None:
             self._project = self.ctx.project(self.name)
         return self._project
+
+    def recording(self, recording_id: int) -> Recording:
+        """An open recording, which is kept."""
+        return self.ctx.caches.frames.recording(self.project, recording_id)
 
     def announce(self) -> None:
         """Tells the pages of the project what this request has changed."""

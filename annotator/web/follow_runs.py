@@ -1,4 +1,5 @@
-"""Runs that follow objects, each in a thread of the server, at most one per project and operator.
+"""Runs that follow objects, or fit the boxes that have filled a gap: each in a thread of the server, at most one per
+project and operator.
 
 A job would wait behind a training, and would have to start a process first. Here the first box appears at once. Each
 new box is stored at once, and all pages are told.
@@ -21,6 +22,7 @@ from annotator.web.hub import Announcer, Hub
 from annotator.web.schemas import Schema
 from annotator.workflows.tracks.follow_objects import FollowedTrack
 from annotator.workflows.tracks.follow_run import Following, FollowRun
+from annotator.workflows.tracks.refit_run import RefitRun
 
 LOG = logging.getLogger("annotator.web")
 
@@ -33,6 +35,7 @@ class FollowRunJson(Schema):
     Attributes:
         number: of the run; a later run has a higher one, also after a restart of the server.
         frame: id of the frame from which objects are followed.
+        direction: in time; "between": the boxes that have filled a gap are fitted.
         has_detector: whether the project's view detector measures the boxes; otherwise they keep the reviewed size.
         done, total: numbers of frames; a frame counts once for each object and direction.
         first: frame id and uid of the first new box, or null.
@@ -42,7 +45,7 @@ class FollowRunJson(Schema):
     number: int
     operator: str
     frame: int
-    direction: Direction
+    direction: Direction | Literal["between"]
     has_detector: bool
     state: Literal["running", "done", "stopped", "failed", "undone"]
     done: int
@@ -71,7 +74,13 @@ class FollowRuns:
         self._runs = WeakKeyDictionary[Project, dict[str, _Running]]()
 
     def start(
-        self, project: Project, operator: str, run: FollowRun, frame_id: int, direction: Direction, has_detector: bool
+        self,
+        project: Project,
+        operator: str,
+        run: FollowRun | RefitRun,
+        frame_id: int,
+        direction: Direction | Literal["between"],
+        has_detector: bool,
     ) -> FollowRunJson:
         """Starts a run, described as in `FollowRunJson`; an earlier one of the operator in this project is stopped."""
         with self._starting:
@@ -135,7 +144,7 @@ class FollowRuns:
             with self._lock:
                 self._runs.pop(one, None)
 
-    def _follow(self, project: Project, running: _Running, run: FollowRun) -> None:
+    def _follow(self, project: Project, running: _Running, run: FollowRun | RefitRun) -> None:
         def report(state: Following) -> None:
             self._announcer.announce(project)
             self._show(project, running, state)

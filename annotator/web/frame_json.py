@@ -6,7 +6,7 @@ import hashlib
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from fastapi import Depends
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 
+from annotator.geometry.outline import visible_edges
 from annotator.project import Project, ViewBoxes
 from annotator.project.overview import FramePage, read_page
 from annotator.project.records import ViewGeometry
@@ -40,7 +41,7 @@ from annotator.web.schemas import (
 )
 from annotator.workflows.detectors import base_titles
 from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.frame_state import ShownObject, seen_labels, shown_objects
+from annotator.workflows.workbench.frame_state import ShownObject, Sight, shown_objects, sights
 from annotator.workflows.workbench.review_queue import doubt
 
 LOG = logging.getLogger("annotator.web")
@@ -78,10 +79,16 @@ class InFrame(InProject):
     def open(self) -> OpenFrame:
         return self.ctx.caches.frames.open(self.project, self.frame_id, self.operator)
 
-    def state(self) -> FrameStateJson:
-        """The present state of the frame for the operator's page."""
+    def state(self, best_for: str | None = None) -> FrameStateJson:
+        """The present state of the frame for the operator's page.
+
+        Args:
+            best_for: uid of a label; if another camera of the moment sees it much better, the state of its frame.
+        """
         with self.project.store.snapshot():
-            return _state(self)
+            state = _state(self)
+        better = next((label.better_in for label in state.labels if label.uid == best_for), None)
+        return state if better is None else replace(self, frame_id=better).state()
 
     @contextmanager
     def change(self, body: FrameChange) -> Iterator[None]:
@@ -132,7 +139,7 @@ def _state(at: InFrame) -> FrameStateJson:
         if boxes is None
         else ImageBoxesJson(boxes=[Box2DJson.of(box) for box in boxes.boxes], box_kind=boxes.box_kind),
         objects=[_object(at.name, project, each) for each in shown_objects(page)],
-        labels=_labels(project, page, opened),
+        labels=_labels(at, page, opened),
         open_by=at.ctx.hub.open_by(at.name, at.frame_id, at.operator),
         history=HistoryJson(undo=undo, redo=redo),
     )
@@ -169,13 +176,16 @@ def _view(name: str, view_id: str, size: tuple[int, int], geometry: PseudoView |
     )
 
 
-def _labels(project: Project, page: FramePage, opened: OpenFrame) -> list[LabelJson]:
+def _labels(at: InFrame, page: FramePage, opened: OpenFrame) -> list[LabelJson]:
+    project = at.project
     measured_by = base_titles(project) if {stored.run_id for stored in page.labels} - {None} else {}
     # most frames have none, and need no query
     may_be_kept = next((stored.frame_id for stored in page.labels if stored.label.attributes), None)
     kept = frozenset[str]() if may_be_kept is None else project.labels.kept(may_be_kept)
     is_tracked = any(stored.label.track_id is not None for stored in page.labels)
     beside = project.labels.beside(page.frame) if is_tracked else {}
+    seen = sights(project, at.ctx.caches.frames, page)
+    outlines = visible_edges(opened.frame.camera, [stored.label.box for stored in page.labels])
     return [
         LabelJson.of(
             stored.label,
@@ -189,8 +199,10 @@ def _labels(project: Project, page: FramePage, opened: OpenFrame) -> list[LabelJ
             heading_beside=_heading(beside.get(stored.label.track_id)),
             outline=outline.round(2).tolist(),
             points=opened.points_in(stored.label.box),
+            seen_by=seen.get(stored.label.uid, Sight()).frames,
+            better_in=seen.get(stored.label.uid, Sight()).better,
         )
-        for stored, outline in seen_labels(page, opened)
+        for stored, outline in zip(page.labels, outlines, strict=True)
     ]
 
 

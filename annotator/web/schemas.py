@@ -186,7 +186,8 @@ class LabelJson(LabelValues):
 
     `measured_by` names the base detector if it measured the proposal; `box_kind` is what the box encloses; `kept`: a
     proposal that passes of the detectors do not replace, because a person has set values of it; `heading_beside`: the
-    heading of the box before it in its track, or else after it, as a unit vector.
+    heading of the box before it in its track, or else after it, as a unit vector. `seen_by`: the frames of the cameras
+    of a rig that see it, the best first; `better_in`: where it is seen, if this camera sees it not, or much worse.
     """
 
     uid: str
@@ -205,6 +206,8 @@ class LabelJson(LabelValues):
     heading_beside: list[float] | None
     outline: Outline
     points: int
+    seen_by: tuple[int, ...]
+    better_in: int | None
 
 
 class FrameJson(Schema):
@@ -268,7 +271,7 @@ class HistoryJson(Schema):
 
 
 class FrameStateJson(Schema):
-    """All data of a frame that the page shows. `labels`: also those of other cameras of the moment that it shows."""
+    """All data of a frame that the page shows. `labels`: of its moment, also those that its image does not show."""
 
     frame: FrameJson
     image: ImageJson

@@ -5,7 +5,6 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -140,10 +139,9 @@ def shared_clouds(recording: Recording) -> dict[str, SharedCloud]:
 def recorded_poses(recording: Recording) -> dict[str, RigidTransform]:
     """Where the camera of each frame was, `T_world_camera`, by the frame's key; without those that are not known."""
     found: dict[str, RigidTransform] = {}
-    read: Any = getattr(recording, "pose", None)
-    if read is not None:
+    if recording.pose_source is not None:
         for index, key in enumerate(recording.keys):
             with suppress(RecordingError):
-                if (pose := read(index)) is not None:
+                if (pose := recording.pose(index)) is not None:
                     found[key] = pose
     return found

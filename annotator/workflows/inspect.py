@@ -9,6 +9,7 @@ from annotator.geometry.projection import inside_image, project
 from annotator.recordings import ReaderOptions, Recording, open_recording
 from annotator.recordings.listing import path_errors
 from annotator.recordings.look_around import Scanned
+from annotator.recordings.poses import PosesReport, survey_poses
 from annotator.recordings.ros.topics import TopicReport, list_topics
 from annotator.types import Camera, Frame
 from annotator.types.bases import Strict
@@ -22,7 +23,7 @@ class FrameReport(Strict):
 
     Attributes:
         scanned, seen: points of the LiDAR's whole scan, and how many of them the image shows; None without a LiDAR.
-        place: where the camera stands in map coordinates; None without such.
+        place: where the camera stands in the world of the recording's map or poses; None without such.
     """
 
     key: str
@@ -51,6 +52,7 @@ class RecordingReport(Strict):
         frame: the first readable frame.
         broken: the errors of the frames before it, by key.
         notes: what the reader says about it.
+        poses: of its frames; None without poses.
         origin: of clouds in map coordinates without a camera (`clouds.virtual_camera`); None for others.
         topics: of a bag; empty for other formats.
     """
@@ -66,6 +68,7 @@ class RecordingReport(Strict):
     frame: FrameReport | None
     broken: dict[str, str]
     notes: tuple[str, ...]
+    poses: PosesReport | None
     origin: tuple[float, float, float] | None
     topics: tuple[TopicReport, ...]
 
@@ -93,6 +96,7 @@ def inspect_recording(path: Path, options: ReaderOptions = NO_OPTIONS) -> Record
         frame=report,
         broken=broken,
         notes=recording.notes,
+        poses=survey_poses(recording),
         origin=None if frame is None or frame.T_world_camera is None else recording.origin,
         topics=bag_topics(path, options),
     )
@@ -113,7 +117,7 @@ def _report(recording: Recording, index: int, frame: Frame) -> FrameReport:
         has_mask = load_mask(recording, frame) is not None
     except FormatError as error:
         problem = str(error)
-    in_scan = len(recording.scan(index).raw.xyz_m) if isinstance(recording, Scanned) else None
+    in_scan = len(recording.scan(index).read().xyz_m) if isinstance(recording, Scanned) else None
     return FrameReport(
         key=frame.key,
         camera=camera,

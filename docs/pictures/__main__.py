@@ -4,6 +4,8 @@ Needs the base detector, the `test` extra and Chromium, and some ten minutes.
 
 `python docs/pictures cold_start FOLDER [DATA]` draws the curves of docs/cold_start.md, and fills its table.
 FOLDER keeps the results; those that are missing are measured on the recordings in DATA.
+
+`python docs/pictures pages FOLDER [NAME ...]` writes screenshots of every page, which are not of the documentation.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import gallery
 import guide
 import method
 import moving
+import pages
 
 MAKERS = {
     "method": method.main,
@@ -36,6 +39,11 @@ def main(words: list[str]) -> None:
         if len(words) not in (2, 3):
             sys.exit("usage: python docs/pictures cold_start FOLDER [DATA]")
         cold_start.main(Path(words[1]), *map(Path, words[2:]))
+        return
+    if words[:1] == ["pages"]:
+        if len(words) < 2:
+            sys.exit("usage: python docs/pictures pages FOLDER [NAME ...]")
+        pages.main(Path(words[1]), words[2:])
         return
     unknown = set(words) - set(MAKERS)
     if unknown:

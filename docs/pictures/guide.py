@@ -172,9 +172,9 @@ def draw(page: Page, camera: Camera, boxes: list[Box2D]) -> None:
     picture = page.get_by_test_id("image-editor").locator("img.picture[src]")
     picture.wait_for()
     is_first = page.get_by_test_id("kind-box").get_attribute("aria-checked") == "false"
-    click(page, "kind-box")
     click(page, "views-pseudo")
-    for number, box in enumerate(reversed(boxes), start=1):
+    click(page, "kind-box")
+    for number, box in enumerate(boxes, start=1):
         drag(page, *corners_on_page(page, "image-editor", box, camera))
         page.get_by_test_id("view-side-2").locator(".box.suggested").wait_for()
         if is_first:

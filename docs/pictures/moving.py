@@ -1,4 +1,4 @@
-"""The README's moving picture, docs/workbench.webp: drag, dashed boxes, Enter, follow, review, on the running page."""
+"""The README's moving picture, docs/workbench.webp: drag, dashed box, Space, follow, review, on the running page."""
 
 from __future__ import annotations
 
@@ -82,7 +82,9 @@ def draw(film: Film, recording: Path) -> None:
     """One box on the image; the 3D box; Space."""
     page, text = film.page, "1   Drag one box on the image"
     camera, boxes = true_boxes(recording, 0)
+    page.get_by_test_id("views-pseudo").click()
     page.get_by_test_id("kind-box").click()
+    page.get_by_test_id("views-along").click()
     start, end = corners_on_page(page, "image-editor", boxes[-1], camera)
     wait_for_3d(page)
     page.mouse.move(*start)

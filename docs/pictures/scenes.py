@@ -25,6 +25,11 @@ SAME_IOU = 0.1
 STREET_CAMERA = Camera(960, 400, 720.0, 720.0, 479.5, 199.5)
 LIDAR_ABOVE_CAMERA_M = 0.15
 SKY = (176, 200, 224)
+# Of `street_drive`: metres between two of its frames, and the turns from the world to a LiDAR (x ahead, y left, z up)
+# and to a camera that looks ahead (x right, y down, z ahead).
+STEP_M = 0.6
+R_LIDAR_WORLD = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+R_AHEAD_WORLD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def true_boxes(recording: Path, index: int) -> tuple[Camera, list[Box2D]]:
@@ -83,3 +88,27 @@ def street_frame(seed: int, has_camera: bool) -> tuple[Frame, list[Truth]]:
         rgb = virtual_image(STREET_CAMERA, cloud)
     up = T_camera_world.rotation.apply([0.0, 0.0, 1.0])
     return Frame(str(seed), 0, STREET_CAMERA, rgb, cloud, None, up), truths
+
+
+def street_drive(path: Path, seed: int, frames: int) -> list[list[Truth]]:
+    """Writes a drive past a still street: the clouds of a LiDAR alone, x ahead, y left, z up, metres.
+
+    Returns:
+        The objects of each frame, in the axes of a camera at the LiDAR that looks ahead.
+    """
+    random = np.random.default_rng(seed)
+    scene = street(random)
+    mesh = joined([*scene.still, *(actor.mesh for actor in scene.actors)])
+    path.mkdir(parents=True)
+    found = []
+    for index in range(frames):
+        eye = scene.T_world_camera.translation + np.array([0.0, STEP_M * index, LIDAR_ABOVE_CAMERA_M])
+        pose = RigidTransform.from_translation(eye)
+        points = scan(Lidar(), pose, np.pi, mesh, scene.palette, scene.lights, random)
+        cloud = np.c_[(points.xyz_m - eye) @ R_LIDAR_WORLD.T, points.reflectance].astype(np.float32)
+        np.save(path / f"{index:06d}.npy", cloud)
+        counts = np.bincount(points.track, minlength=len(scene.actors) + 1)
+        T_ahead_world = RigidTransform.from_rotation(Rotation.from_matrix(R_AHEAD_WORLD)) * pose.inv()
+        seen = [actor for actor in scene.actors if counts[actor.track] >= MIN_POINTS]
+        found.append([Truth(actor.label, actor.box(T_ahead_world), actor.track) for actor in seen])
+    return found

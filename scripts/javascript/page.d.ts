@@ -28,6 +28,8 @@ interface Attributes extends Listeners {
   [name: string]: AttributeValue;
 }
 type Child = Node | string | null | undefined | false;
+/** The tag of an element that is written with its classes: "div.row" is a "div". */
+type TagOf<T extends string, Known> = (T extends `${infer Tag}.${string}` ? Tag : T) & keyof Known;
 
 // -- what all modes share
 
@@ -93,7 +95,7 @@ interface StateValues {
 
 interface StateMethods {
   set(changes: Partial<StateValues>): void;
-  on<K extends keyof StateValues>(name: K, fn: (value: StateValues[K]) => unknown): () => void;
+  on<K extends keyof StateValues>(name: K, fn: (value: StateValues[K]) => unknown, until?: AbortSignal): () => void;
 }
 
 type State = StateValues & StateMethods;
@@ -137,6 +139,32 @@ interface ViewportEvents {
 type BoxColor = "state" | "class" | "track";
 type ViewportState = "opening" | "ready" | "lost" | "unsupported";
 
+type Word<W> = W extends string ? (string extends W ? "*" : W) : "*";
+/** The words of a path, with a star for each value. */
+type Words<P extends readonly unknown[]> = P extends readonly [infer W]
+  ? Word<W>
+  : P extends readonly [infer W, ...infer Rest]
+    ? `${Word<W>}/${Words<Rest>}`
+    : "";
+/** The path of a project's resource; `of` is there only for the type of the answer. */
+type ProjectPath<P extends readonly unknown[]> = string & { readonly of: Words<P> };
+type Asked<
+  Method extends string,
+  P,
+> = `${Method} ${P extends { readonly of: infer Of extends string } ? Of : P & string}`;
+/** What the server's schema says of the answer to a request; unknown for a path that is made of text. */
+type Answer<Method extends string, P> =
+  Asked<Method, P> extends infer Known extends keyof Api.Answers ? Api.Answers[Known] : unknown;
+type Ask<Method extends string> = <P extends string, T = Answer<Method, P>>(
+  path: P,
+  options?: RequestOptions,
+) => Promise<T>;
+type Send<Method extends string> = <P extends string, T = Answer<Method, P>>(
+  path: P,
+  body?: object,
+  options?: RequestOptions,
+) => Promise<T>;
+
 type Client = ReturnType<typeof import("../../web_assets/js/api.js").createApi>;
 type RequestOptions = { signal?: AbortSignal };
 type EffortCounter = ReturnType<typeof import("../../web_assets/js/effort.js").createEffort>;
@@ -146,7 +174,6 @@ type KeyHandler = (event: KeyboardEvent, key: string) => unknown;
 type Frames = ReturnType<typeof import("../../web_assets/js/frame_state.js").createFrameState>;
 type Viewport = ReturnType<typeof import("../../web_assets/js/viewport.js").createViewport>;
 type ViewportBar = ReturnType<typeof import("../../web_assets/js/viewport_bar.js").createViewportBar>;
-type JobLine = ReturnType<typeof import("../../web_assets/js/jobs.js").createJobLine>;
 
 /** The object that each mode receives; js/main.js creates it. */
 interface App {
@@ -161,11 +188,11 @@ interface App {
   /** Goes to an address from router.makeHash. */
   go(hash: string): void;
   /** The path of a resource of the open project: app.path("frames", 3). */
-  path(...parts: (string | number)[]): string;
+  path<const P extends readonly (string | number)[]>(...parts: P): ProjectPath<P>;
   /** Reads the project's summary again, into state.project. */
   refreshProject(): Promise<void>;
   /** Reads a frame into state.frame, and reports to the other pages that it is open here. */
-  loadFrame(id: number): Promise<FrameState>;
+  loadFrame(id: number, bestFor?: string | null): Promise<FrameState>;
   /** Saves everything. False if something cannot be saved and the operator stays with it. */
   mayLeave(): Promise<boolean>;
   /** Sets the address back to the frame that is shown. */
@@ -185,7 +212,7 @@ type Unsaved = { text: string; retry: () => unknown; action?: string; discard: (
 
 /** A mounted mode. */
 interface Mounted {
-  unmount(): void;
+  unmount?(): void;
   /** Called instead of a new mount if only the frame or the query of the address has changed. */
   route?(route: Route): void;
   /** Resolves when all changes that are being saved are saved, or have failed. */
@@ -204,7 +231,8 @@ type StaleError = Error & { body: { state: FrameState } };
 type TrackTakenError = Error & { body: { track: number } };
 
 interface Mode {
-  mount(root: HTMLElement, app: ModeApp): Mounted;
+  /** `until`: aborted when another mode is mounted. */
+  mount(root: HTMLElement, app: ModeApp, until: AbortSignal): Mounted | void;
 }
 
 /** A version of a frame that could not be saved: lines of text, and the boxes drawn over the other version. */
@@ -215,10 +243,8 @@ type Mine = { text: string[]; boxes: Rect[]; outlines: Line[][] };
 /** `suggested` is dashed until the operator accepts it; `caption` replaces the label. */
 type EditorBox = Box2D & {
   suggested?: boolean;
-  readonly?: boolean;
   faint?: boolean;
   caption?: string;
-  color?: string;
 };
 
 /** An arrow in px of a picture; `sight`: cosine of the angle between it and the line of sight. */
@@ -236,31 +262,26 @@ type Overlay = {
   wrong?: boolean;
 };
 
-/** `sight`: the line of sight, px of the picture for each metre, along which the box can be moved. */
-type Handles = { edges: boolean; corners: boolean; rotate: boolean; sight: Point | null };
 type EditKind = "draw" | "move" | "resize" | "nudge" | "delete" | "accept";
 type Editor = ReturnType<typeof import("../../web_assets/js/editor2d/editor.js").createEditor>;
 type View = ReturnType<typeof import("../../web_assets/js/editor2d/geometry.js").createView>;
 
 interface EditorOptions {
   /** Accessible name. */
-  label?: string;
-  classes?: string[];
-  /** By default the class's colour. */
-  color?: (box: EditorBox) => string;
-  /** Class of a drawn box, by default the first one. */
+  label: string;
+  color: (box: EditorBox) => string;
+  /** Class of a drawn box. */
   newLabel?: () => string | null;
   /** Only the selected box can be resized: a drag that begins on the edge of another box draws a new one. */
   selectFirst?: boolean;
   /** There is only one box; drawing replaces it. */
   single?: boolean;
-  /** True by default; a function is called each time. */
-  canDraw?: boolean | (() => boolean);
+  /** Whether a drag draws a box; by default it does. */
+  canDraw?: () => boolean;
   /** Whether a box was asked for: if not, a drag draws one all the same, but no lines show where, and Insert does not. */
   isAsked?: () => boolean;
   /** A drag with a shorter side draws no box, CSS pixels; 0 by default. */
   leastDraw?: number;
-  canMove?: boolean;
   canDelete?: boolean;
   /** Boxes end at the picture's border; true by default. */
   clip?: boolean;
@@ -268,11 +289,11 @@ interface EditorOptions {
   onChange?: (boxes: EditorBox[], why: EditKind, index: number, actions: number) => unknown;
   /** Called while dragging, before the change is finished. */
   onDrag?: (boxes: EditorBox[], index: number) => unknown;
-  /** Replaces the effect of Enter, which accepts the selected suggestion; true if it did something. */
-  onEnter?: (event: KeyboardEvent) => boolean;
+  /** Called by Enter; true if it did something. */
+  onEnter?: () => boolean;
   /** Called with the index of the selected box; -1: none. */
   onSelect?: (index: number) => unknown;
-  /** Called by the rotation handle; a positive angle turns x towards y. The editor shows the turn until setBoxes. */
+  /** Called by the rotation handle, which is there with this; a positive angle turns x towards y. The editor shows the turn until setBoxes. */
   onRotate?: (angleRad: number, isFinal: boolean) => unknown;
   /** Called by the handle on the line of sight, like `onRotate`. */
   onSlide?: (metres: number, isFinal: boolean) => unknown;
@@ -284,14 +305,14 @@ interface EditorOptions {
 interface EditorInside {
   root: HTMLElement;
   view: View;
-  picture: Size;
   /** Of the window, CSS pixels; `border` is its outer width. */
   size: Size & { border: number };
   options: EditorOptions;
   readonly boxes: EditorBox[];
   readonly selected: number;
   readonly overlays: Overlay[];
-  readonly handles: Handles;
+  /** The line of sight, px of the picture for each metre, along which a handle moves the box. */
+  readonly sight: Point | null;
   redraw(): void;
   flush(): void;
   isReadonly(): boolean;
@@ -473,6 +494,8 @@ type Target = { frame: number; uid: string | null };
 
 type Layout = { xaxis?: object; yaxis?: object; [name: string]: unknown };
 type Chart = { traces: object[]; layout: Layout };
+/** The theme's colours by name. */
+type Colors = Record<string, string>;
 /** The part of the library that js/charts.js uses. */
 type Plotly = {
   react(host: HTMLElement, traces: object[], layout: Layout, config: object): Promise<unknown>;

@@ -2,13 +2,14 @@
 
     .venv/bin/python scripts/javascript/server_types.py
 
-The types of the server's requests and responses are defined once, as pydantic models in `annotator/web`, and `tsc`
-checks the page against them. `scripts/test` writes the file before it calls `tsc`.
+The types of the server's requests and responses are defined once, as pydantic models in `annotator/web`; `Answers` says
+which one each route gives. `tsc` checks the page against them. `scripts/test` writes the file before it calls `tsc`.
 """
 
 from __future__ import annotations
 
 import json
+import re
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ def main() -> None:
     ]
     request_types = _reached(bodies, schemas)
     types = [_declaration(name, schema, name not in request_types) for name, schema in schemas.items()]
+    types.append(_answers(api["paths"]))
     text = "// Written by server_types.py.\n\ndeclare namespace Api {\n" + "\n".join(types) + "}\n"
     write_atomic(TARGET, text.encode())
 
@@ -59,6 +61,18 @@ def _declaration(name: str, schema: dict[str, Any], is_answer: bool) -> str:
         return f"{text}type {_identifier(name)} = {_type(schema)};\n"
     needed = schema["properties"] if is_answer else schema.get("required", ())
     return f"{text}interface {_identifier(name)} {_type({**schema, 'required': needed})}\n"
+
+
+def _answers(paths: dict[str, Any]) -> str:
+    """The type of each route's answer, such as "GET frames/*": below a project's path, and with "*" for each value."""
+    lines = []
+    for path, methods in paths.items():
+        key = re.sub(r"{\w+}", "*", re.sub(r"^/api/projects/{\w+}/?", "", path))
+        for method, route in methods.items():
+            match next(answer for code, answer in route["responses"].items() if code.startswith("2")):
+                case {"content": {"application/json": {"schema": schema}}} if schema:
+                    lines.append(f'  "{method.upper()} {key}": {_type(schema)};\n')
+    return "/** What the routes answer. */\ninterface Answers {\n" + "".join(lines) + "}\n"
 
 
 def _identifier(name: str) -> str:

@@ -38,6 +38,7 @@ from benchmarks import (
     azure_kinect,
     batch,
     cold_start,
+    desk,
     follow,
     golden,
     live,
@@ -229,6 +230,18 @@ def test_follow_scores_each_track(agnostic: Callable[..., Any], generated: Path)
     assert result["mean_iou"] == pytest.approx(np.mean([row["mean_iou"] for row in result["tracks"]]))
     assert result["mean_iou"] > 0.6
     assert result["silent_errors"] == 0
+
+
+def test_a_task_at_the_desk_counts_its_actions(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("playwright.sync_api")
+    monkeypatch.setattr(desk, "FRAMES", desk.TRACKED + desk.LENGTH)
+    result = in_process(desk, monkeypatch, capsys, "--task", "merge_tracks")
+    (task,) = result["tasks"].values()
+    assert task["actions"] == 2
+    assert task["wait_s"] > 0
+    assert task["peers"] == {"CVAT": 4, "SUSTechPOINTS": None}
 
 
 BOUNDS = {"kitti_max_ap": 1e-3, "sunrgbd_max_map": 1e-6, "iou_max_rel": 1e-6, "conventions_max_px": 1e-3}

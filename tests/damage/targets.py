@@ -145,6 +145,37 @@ def labelled(count: int = 2) -> list[Any]:
     return [make_item([make_label(track_id=1), make_label(uid="b")], key=f"{n:06d}", index=n) for n in range(count)]
 
 
+def posed(name: str, file: str, content: str) -> Target:
+    """A small recording with poses in a file."""
+
+    def build(folder: Path) -> None:
+        BUILT[name](folder)
+        small.put(folder / file, content)
+
+    def read(folder: Path) -> Frame:
+        frame = read_frame(folder)
+        assert frame.T_world_camera is None or np.isfinite(frame.T_world_camera.as_matrix()).all()
+        return frame
+
+    return Target(f"{name}_{file.rpartition('.')[0].replace('/', '_')}", build, read)
+
+
+MATRIX = "1 0 0 2\n0 1 0 3\n0 0 1 4\n"
+OXTS = "49.011 8.422 112.83 0.022 0.001 -1.22" + " 0.5" * 24 + "\n"
+TRAJECTORY = json.dumps({"parameters": [{"extrinsic": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 2, 3, 4, 1]}]})
+
+
+def odometry_bag(folder: Path) -> None:
+    """A bag that has poses in a topic."""
+    with BagWriter(folder, "ros1") as writer:
+        write_take(writer, 2)
+        for i in range(3):
+            time_ns = START_NS + i * 50 * MS
+            pose = {"pose": {"position": {"x": 0.1 * i}, "orientation": {"w": 1.0}}}
+            head = writer.header(time_ns, "map")
+            writer.write("/odom", time_ns, "nav_msgs/Odometry", header=head, child_frame_id="camera", pose=pose)
+
+
 def exported(name: str, items: list[Any] | None = None, **options: Any) -> Callable[[Path], object]:
     """Builds an export in the format of that name."""
 
@@ -210,6 +241,13 @@ TARGETS: list[Target] = [
     Target("record3d", lambda folder: small.made.write_record3d(folder / "a.r3d", small.made.frames(2)),
            lambda folder: read_frame(folder / "a.r3d")),
     Target("record3d_unpacked", BUILT["record3d"], read_frame),
+    posed("rgbd_folder", "poses.csv", "key,x,y,z,qw,qx,qy,qz\n0,1,2,3,0.5,0.5,0.5,0.5\n"),
+    posed("rgbd_folder", "trajectory.log", f"0 0 1\n{MATRIX}0 0 0 1\n"),
+    posed("rgbd_folder", "camera_trajectory.json", TRAJECTORY),
+    posed("kitti_tracking", "poses.txt", MATRIX.replace("\n", " ") + "\n"),
+    posed("kitti_tracking", "oxts.txt", OXTS),
+    posed("kitti_raw", "oxts/data/0.txt", OXTS),
+    Target("ros1_odometry", odometry_bag, lambda f: read_frame(bags(f))),
     Target("nuscenes_around", BUILT["nuscenes"], read_around),
     Target("argoverse2_around", BUILT["argoverse2"], read_around),
     Target("kitti_around", BUILT["kitti_tracking"], read_around),

@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.dataset_writing import DatasetItem, FileNames, Format, Losses, Lost
 from annotator.formats.table import FORMATS, WRITERS, ExportFormat
+from annotator.recordings import open_recording
 from annotator.types import Camera, PointCloud, ReviewState, Truth
 from annotator.types.errors import FormatError
 from annotator.types.label import Said
@@ -130,6 +131,23 @@ def test_boxes_go_where_their_camera_is_if_the_format_holds_its_place_in_a_map(t
     moved = RigidTransform.identity() if Lost.ORIGIN in FORMATS[name].loses else OTHER_PLACE.inv() * PLACE
     for one, other in zip(here, there, strict=True):
         assert_same_box(other.box, one.box.transformed(moved), 1e-6)
+
+
+def test_a_world_whose_z_is_not_up_is_none_of_nuscenes(tmp_path: Path) -> None:
+    """That of an odometry's first image; z of the global frame is read as up."""
+    level = RigidTransform.from_rotation(Rotation.from_matrix([[1, 0, 0], [0, 0, 1], [0, -1, 0]]))
+    place = RigidTransform.from_translation([1, 2, 3])
+    for T, lost in ((place, 1), (place * level, 0)):
+        item = make_item([make_label(track_id=1)], recording="rec", T_world_camera=T, camera=WIDE)
+        seen = PointCloud(np.array([[0, 0, 8.0], [1, 0, 9]], np.float32))
+        items = [replace(item, frame=replace(item.frame, cloud=seen))]
+        write("nuscenes", tmp_path / f"{lost}", items, losses := Losses())
+        assert {loss.kind: loss.count for loss in losses.report()}.get(Lost.ORIGIN, 0) == lost
+        recording = open_recording(tmp_path / f"{lost}")
+        pose = recording.pose(0)
+        assert (pose is None) == bool(lost)
+        assert pose is None or np.allclose(pose.as_matrix(), T.as_matrix())
+        np.testing.assert_allclose(recording.frame(0).up, [0, -1, 0], atol=1e-9)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", SOLID)

@@ -75,8 +75,7 @@ test("an edge is near its whole length, but the inner half of a small box is not
   assert.equal(geometry.edgeNear(BOX, [54, 100], 3), null);
   assert.equal(geometry.edgeNear(BOX, [52, 130], 3), null);
   assert.equal(geometry.edgeNear(box(50, 60, 54, 64), [52, 62], 3), null);
-  assert.equal(geometry.edgeNear(BOX, [50, 60], 3, { corners: false }), null);
-  assert.equal(geometry.edgeNear(BOX, [50, 90], 3, { edges: false }), null);
+  assert.deepEqual(geometry.edgeNear(BOX, [50, 60], 3), { sideX: -1, sideY: -1 });
 });
 
 test("moving stops at the border, from which a box may come back", () => {
@@ -112,8 +111,8 @@ test("a point is inside the hull of an outline", () => {
 const editorOf = (boxes, more = {}) => ({
   boxes,
   selected: 0,
-  view: createView(),
-  handles: { edges: true, corners: true, rotate: false },
+  view: createView(SIZE, SIZE),
+  sight: null,
   options: {},
   canDraw: () => true,
   isReadonly: () => false,
@@ -129,25 +128,25 @@ test("what lies under the pointer", () => {
   assert.equal(hit([220, 80]), "draw", "only a selected box is moved");
   assert.equal(hit([100, 90], true), "draw", "Shift draws over it");
   assert.equal(hitTest(editor, [40, 90], "touch").kind, "resize", "a finger reaches farther");
-  assert.equal(hitTest(editorOf([{ ...BOX, readonly: true }]), [100, 90], "mouse").kind, "draw");
   assert.equal(hitTest(editorOf([BOX], { isReadonly: () => true }), [100, 90], "mouse").kind, "nothing");
-  const turning = editorOf([BOX], { handles: { edges: true, corners: true, rotate: true } });
+  const turning = editorOf([BOX], { options: { onRotate() {} } });
   assert.ok([...Array(60).keys()].some((up) => hitTest(turning, [100, 60 - up], "mouse").kind === "rotate"));
 });
 
 test("zooming keeps the pixel under the pointer, and a strip of the picture stays in the window", () => {
-  const [view, size] = [createView(), { width: 700, height: 500 }];
-  view.fit(SIZE, size);
+  const size = { width: 700, height: 500 };
+  const view = createView(SIZE, size);
+  view.fit();
   assert.deepEqual(view.toWindow([159.5, 119.5]), [350, 250]);
   const pointer = view.toWindow([70, 60]);
   for (let i = 0; i < 40; i += 1) {
-    view.zoomAbout(pointer, 1.2, SIZE, size);
+    view.zoomAbout(pointer, 1.2);
     const [x, y] = view.toPicture(pointer);
     assert.ok(Math.abs(x - 70) < 1e-9 && Math.abs(y - 60) < 1e-9);
   }
   assert.equal(view.scale, 64);
-  view.fit(SIZE, size);
-  view.panBy(-1e6, 1e6, SIZE, size);
+  view.fit();
+  view.panBy(-1e6, 1e6);
   const [right, top] = [view.toWindow([319.5, 0])[0], view.toWindow([0, -0.5])[1]];
   assert.deepEqual([Math.round(right), Math.round(top)], [32, 500 - 32]);
   assert.equal(view.isFitted, false);

@@ -9,7 +9,7 @@ import { createPreload } from "../../web_assets/js/annotate/preload.js";
 import { createQueue } from "../../web_assets/js/annotate/queue.js";
 import { copiedText } from "../../web_assets/js/annotate/tracks.js";
 import { makeHash, parseHash } from "../../web_assets/js/router.js";
-import { followImports } from "../../web_assets/js/jobs.js";
+import { readJobs, takeJob } from "../../web_assets/js/jobs.js";
 import { fakeApp, frameState, freshStorage, held, settled } from "./fakes.js";
 
 beforeEach(() => {
@@ -64,6 +64,28 @@ test("a frame that could not be read again is still behind", async () => {
   assert.equal(frames.isBehind, true);
 });
 
+test("what was read ahead is opened at once, and is behind until it is read again", async () => {
+  const asked = [];
+  const app = fakeApp({ get: async (path) => asked.push(path) && frameState(3, [], 2) });
+  const frames = createFrameState(app);
+  await frames.prepare(2, "a");
+  await frames.open(2, "b");
+  assert.equal(asked.length, 2, "another label may be seen better by another camera");
+  app.state.frame = frameState(1);
+  await frames.prepare(2, null);
+  asked.length = 0;
+  await frames.open(2, null);
+  assert.deepEqual([app.state.frame.frame.id, asked, frames.isBehind], [2, [], true]);
+  await frames.refresh();
+  assert.deepEqual([asked, frames.isBehind], [["frames/2"], false]);
+  app.state.frame = frameState(1);
+  await frames.prepare(2, null);
+  frames.hear({ frame: 2, revision: 4 });
+  asked.length = 0;
+  await frames.open(2, null);
+  assert.notEqual(asked.length, 0, "it has changed since");
+});
+
 // -- the queue
 
 const item = (uid, frame = 1) => ({ uid, frame });
@@ -97,7 +119,7 @@ test("the next item is the one after this one, and at the end the first one that
   assert.equal(queue.after("b").uid, "c", "goes on from the same place");
 });
 
-test("items of other frames stay, and an undo reads the queue again", async () => {
+test("items of other frames stay, and an undo brings its item back at once and reads the queue again", async () => {
   mock.timers.enable({ apis: ["setTimeout"] });
   const { queue, reads } = queueOf([item("a"), item("b", 2)]);
   await queue.load();
@@ -107,9 +129,15 @@ test("items of other frames stay, and an undo reads the queue again", async () =
     ["b"],
   );
   queue.settle(frameState(3, [{ uid: "a", state: "proposed" }]));
+  assert.deepEqual([queue.items.map(({ uid }) => uid), queue.remaining], [["a", "b"], 2]);
   assert.equal(reads(), 1);
   mock.timers.tick(2000);
   assert.equal(reads(), 2);
+  // the frames of a moment have the same labels
+  const other = frameState(4, []);
+  other.frame.cameras = { 1: 1, 2: 2 };
+  queue.settle(other);
+  assert.deepEqual(queue.items, []);
   mock.timers.reset();
 });
 
@@ -197,7 +225,6 @@ test("a draft that could not be saved is kept with its reason until it is saved 
   assert.equal(await desk.retry("a"), true);
   assert.equal(desk.unsaved, null);
   assert.deepEqual(app.state.frame.labels[0].box.size, LONGER.size);
-  assert.deepEqual(desk.formerBox("a").size, BOX.size);
   isRefused = true;
   desk.select("a");
   await desk.edit({ box: BOX });
@@ -243,42 +270,43 @@ test("another track is no new review of the box, and a box that others have dele
 // -- other things that are waited for
 
 test("nothing is loaded ahead while a sheet is open", async () => {
-  globalThis.Image = class {};
+  globalThis.Image = class {
+    decode = async () => {};
+  };
   const asked = [];
   const get = async (path) => {
     asked.push(path);
     return frameState(1, [], 2);
   };
   const app = fakeApp({ get, state: { frame: frameState(1) } });
+  app.frames = createFrameState(app);
   const preload = createPreload(app, { uid: "now", stored: () => null }, { after: () => item("next", 2) });
   const release = preload.hold();
   await preload.start();
   assert.deepEqual(asked, []);
   release();
   await settled();
-  assert.deepEqual(asked, ["frames/2"]);
+  assert.deepEqual(asked, ["frames/2?best_for=next"]);
 });
 
-test("a long import is polled less and less often", async () => {
-  const waits = [];
-  const job = { id: "1", kind: "import", state: "running", project: "room" };
-  const plain = globalThis.setTimeout;
-  globalThis.setTimeout = (fn, ms) => {
-    waits.push(Math.round(ms));
-    return plain(fn, 0);
-  };
-  try {
-    const get = async () => [{ ...job, state: waits.length < 9 ? "running" : "done" }];
-    const app = fakeApp({ get, state: { jobs: [job] } });
-    await new Promise((resolve) => followImports(app, resolve));
-  } finally {
-    globalThis.setTimeout = plain;
-  }
-  assert.equal(waits.length, 9);
-  assert.deepEqual([waits[0], waits[8]], [700, 5000]);
+test("what is heard of a job is newer than answers about it", async () => {
+  const { promise, resolve } = held();
+  const job = { id: "1", kind: "import", state: "queued", project: "room" };
+  const app = fakeApp({ get: () => promise, state: { jobs: [{ ...job, id: "0" }] } });
+  const read = readJobs(app);
+  app.state.set({ jobs: [{ ...job, state: "done" }, ...app.state.jobs] });
+  takeJob(app, job);
+  resolve([
+    { ...job, state: "running" },
+    { ...job, id: "0", state: "failed" },
+  ]);
+  await read;
   assert.deepEqual(
-    waits,
-    waits.toSorted((a, b) => a - b),
+    app.state.jobs.map(({ id, state }) => [id, state]),
+    [
+      ["1", "done"],
+      ["0", "failed"],
+    ],
   );
 });
 
@@ -304,6 +332,26 @@ test("frames to draw on follow one another, and a frame is not its own next one"
     [4, 2, 5, 9].map((frame) => queue.after(null, frame)?.frame),
     [2, 5, 4, 4],
   );
+});
+
+test("what was asked of the queue before another choice is not shown", async () => {
+  const answers = [held(), held()];
+  const asked = [];
+  const get = (path) => answers[asked.push(path) - 1].promise;
+  const queue = createQueue(fakeApp({ get }), () => {});
+  const first = queue.load();
+  const chosen = queue.choose({ source: "theirs" });
+  assert.equal(queue.answered, 0);
+  answers[1].resolve({ items: [{ uid: "b" }], remaining: 0 });
+  await chosen;
+  answers[0].resolve({ items: [{ uid: "a" }, { uid: "b" }], remaining: 0 });
+  await first;
+  assert.match(asked[1], /source=theirs/);
+  assert.deepEqual(
+    queue.items.map(({ uid }) => uid),
+    ["b"],
+  );
+  assert.equal(queue.answered, 1);
 });
 
 test("addresses name a project, a mode and a frame", () => {

@@ -222,7 +222,7 @@ def test_a_dark_scan_has_the_reflectance_scale_of_the_first_ones(tmp_path: Path)
         recording = open_recording(tmp_path, options)
         assert isinstance(recording, CloudFolder)
         for number in order:
-            reflectance = recording.scan(number).raw.reflectance
+            reflectance = recording.scan(number).read().reflectance
             assert reflectance is not None
             # the last one is beyond the scale of the others
             expected = {0: 200 / 255, 1: 1 / 255, 3: 1 / 255, 4: 60_000 / 65_535}[number]

@@ -309,7 +309,7 @@ def tum_small(number: int) -> np.ndarray:
         ("depth.txt", "1305031102000000000 a.png", r"depth\.txt:1: the time \d+ s is beyond the year 2262"),
         ("rgb.txt", "1305031102,25 rgb/a.png", r"rgb\.txt:1: begins with a time with a decimal comma; write a point"),
         ("groundtruth.txt", "1305031102 0 0 0 0,5 0,5 0,5 0,5", r"groundtruth\.txt:1: must be a time, a place"),
-        ("groundtruth.txt", "1305031102 0 0 0 2 0.6 -0.3 -0.4", r"groundtruth\.txt:1: must be a time, a place"),
+        ("groundtruth.txt", "1305031102 0 0 0 2 0.6 -0.3 -0.4", r"groundtruth\.txt:1: must be a unit quaternion, but"),
     ],
 )
 def test_decimal_commas_and_nanoseconds_are_refused(tmp_path: Path, name: str, text: str, says: str):

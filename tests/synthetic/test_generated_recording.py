@@ -16,6 +16,7 @@ from annotator.formats.box_files import read_boxes
 from annotator.formats.reading import read_mask
 from annotator.geometry.oriented_box import contains
 from annotator.recordings import open_recording
+from annotator.recordings.poses import survey_poses
 from annotator.synthetic import write_generated
 from annotator.synthetic.arrangements import Actor
 from annotator.synthetic.materials import Lights, Material, Palette
@@ -23,6 +24,7 @@ from annotator.synthetic.mesh import Mesh, Parts, box_mesh, joined
 from annotator.synthetic.people import pacing
 from annotator.synthetic.render import Rendering, Sensor, depth_image, render, whole_px
 from annotator.synthetic.snapshots import MIN_POINTS, Snapshot, snapshot
+from annotator.synthetic.writer import drifting
 from annotator.types import Camera
 from annotator.types.errors import AnnotatorError
 
@@ -89,6 +91,41 @@ def test_equal_seeds_give_equal_bytes_and_other_seeds_do_not(generated: dict[str
     assert one != other
 
 
+def test_the_objects_of_a_tour_stand_still_by_its_poses_and_people_walk(tmp_path: Path):
+    write_generated(tmp_path / "a", "tour", 8, seed=2, **SIZE)
+    recording, boxes = open_recording(tmp_path / "a"), read_boxes(tmp_path / "a" / "truth" / "boxes.json")
+    report = survey_poses(recording)
+    assert report is not None
+    assert (report.posed, report.gaps, report.jumps, recording.pose_source) == (8, (), (), "poses.csv")
+    assert (tmp_path / "a" / "poses.csv").read_bytes() == (tmp_path / "a" / "truth" / "poses.csv").read_bytes()
+    places: dict[str, dict[int, list[np.ndarray]]] = {"object": {}, "person": {}}
+    for i, key in enumerate(recording.keys):
+        pose, frame = recording.pose(i), recording.frame(i)
+        assert pose is not None
+        np.testing.assert_allclose(pose.rotation.apply(frame.up), [0, 0, 1], atol=1e-6)  # type: ignore[arg-type]
+        for truth in boxes[key]:
+            assert truth.track_id is not None
+            places[truth.label].setdefault(truth.track_id, []).append(pose.apply(truth.box.center_m))
+    ways = {label: [np.ptp(each, axis=0).max() for each in tracks.values()] for label, tracks in places.items()}
+    assert len(ways["object"]) >= 6 and max(ways["object"]) < 1e-6
+    assert max(ways["person"]) > 0.2
+
+
+def test_poses_drift_by_a_share_of_the_way(tmp_path: Path):
+    """A step is 2 % too long, and each metre turns what follows by 1 % of a radian."""
+    turn = Rotation.from_euler("z", 90, degrees=True)
+    exact = [RigidTransform.from_components([x, 0, 1], turn) for x in (0.0, 1.0, 3.0)]
+    found = drifting(exact, 0.02)
+    places = [(0, 0, 1), (1.02, 0, 1), (1.02 + 2.04 * np.cos(0.01), 2.04 * np.sin(0.01), 1)]
+    for pose, place, angle in zip(found, places, (0, 0.01, 0.03), strict=True):
+        np.testing.assert_allclose(pose.translation, place, atol=1e-9)
+        assert (turn.inv() * pose.rotation).magnitude() == pytest.approx(angle)
+    write_generated(tmp_path / "a", "tour", 3, 2, 32, 24, drift=0.1)
+    drifted, true = ((tmp_path / "a" / name).read_text().splitlines() for name in ("poses.csv", "truth/poses.csv"))
+    assert drifted[:2] == true[:2] and drifted[2:] != true[2:]
+    assert json.loads((tmp_path / "a" / "generated.json").read_text())["drift"] == 0.1
+
+
 def test_an_interrupted_recording_leaves_nothing(tmp_path: Path):
     def interrupt(done: int, frames: int) -> None:
         raise KeyboardInterrupt
@@ -101,7 +138,9 @@ def test_an_interrupted_recording_leaves_nothing(tmp_path: Path):
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        ({"preset": "cats"}, "unknown preset 'cats'; choose one of people, hands, objects"),
+        ({"preset": "cats"}, "unknown preset 'cats'; choose one of people, hands, objects, tour"),
+        ({"drift": 0.1}, "the camera of hands stands still"),
+        ({"drift": 2.0, "preset": "tour"}, r"a share of the way, 0 to 0\.2, not 2"),
         ({"frames": 0}, "frames must be at least 1"),
         ({"seed": -1}, "the seed must be 0 or more"),
         ({"path": "n" * 250}, r"cannot be created \(File name too long"),

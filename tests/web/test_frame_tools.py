@@ -292,14 +292,22 @@ def test_a_camera_whose_folder_is_gone_does_not_hide_the_frame(rig_live: Live, t
     assert {one.path for one in stored} == {(tmp_path / "clouds" / "moved").resolve()}
 
 
-def test_a_page_shows_the_labels_that_its_camera_sees_and_hears_of_changes_in_another(rig_live: Live) -> None:
+def test_a_page_shows_the_labels_of_its_moment_and_who_sees_them_best_and_hears_of_changes_in_another(
+    rig_live: Live,
+) -> None:
     add_all(rig_live, camera="all")
     rig_project = rig_live.context.project("room")
     with rig_live.listen() as page:
         uid = label_object(rig_project, 1, -10.0)
-        assert [[label["uid"] for label in state(rig_live.client, frame)["labels"]] for frame in range(1, 5)] == [
-            [uid], [uid], [], [],
-        ]  # fmt: skip
+        seen = [state(rig_live.client, frame)["labels"] for frame in range(1, 5)]
+        assert [[label["uid"] for label in labels] for labels in seen] == 4 * [[uid]]
+        assert [bool(label["outline"]) for [label] in seen] == [True, True, False, False]
+        best, other = seen[0][0]["seen_by"]
+        assert {best, other} == {1, 2} and all(label["seen_by"] == [best, other] for [label] in seen)
+        assert seen[best - 1][0]["better_in"] is None
+        assert [label["better_in"] for [label] in seen[2:]] == [best, best]
+        answer = rig_live.client.get("/api/projects/room/frames/4", params={"best_for": uid})
+        assert answer.json()["frame"]["id"] == best
         tracks = rig_live.client.get("/api/projects/room/recordings/2/tracks").json()
         assert (tracks["frames"], tracks["lanes"]) == ([2], [{"track_id": 3, "spans": [[0, 0, "car", 0]]}])
         assert state(rig_live.client, 2)["frame"]["cameras"] == {"1": 1, "2": 2, "3": 3, "4": 4}

@@ -7,8 +7,10 @@ import pytest
 
 from annotator.geometry.ground import Ground, find_ground
 from annotator.types import Camera, Frame, OrientedBox, PointCloud
-from annotator.web.viewport.guides import AXES_COLORS, RING_COLOR, Look, Stand, guide_lines, scene_reach_m, stand
+from annotator.web.viewport.guides import AXES_COLORS, Look, Stand, guide_lines, scene_reach_m, stand
+from annotator.web.viewport.palette import PALETTES, Theme
 
+DARK = PALETTES[Theme.DARK]
 UP = np.array([0.0, -1.0, 0.0])
 BOX = OrientedBox.from_parts(np.array([3.0, 1.0, 15.0]), np.array([[0.0, 0, -1], [0, -1, 0], [-1, 0, 0]]).T, np.ones(3))
 
@@ -29,7 +31,7 @@ def ground(frame: Frame) -> Ground:
 
 
 def test_the_grid_lies_on_the_ground_and_a_lidar_has_rings_around_it(frame: Frame, ground: Ground) -> None:
-    lines, colors = guide_lines(frame, ground, scene_reach_m(frame))
+    lines, colors = guide_lines(frame, ground, scene_reach_m(frame), DARK)
     assert lines.shape == colors.shape and np.isfinite(lines).all()
     grid = lines[(colors == colors[0, 0]).all(axis=(1, 2))]
     np.testing.assert_allclose(grid[..., 1], 1.5, atol=1e-3)
@@ -37,7 +39,7 @@ def test_the_grid_lies_on_the_ground_and_a_lidar_has_rings_around_it(frame: Fram
     assert steps.tolist() == [5.0]
     # nothing is behind a depth camera
     assert (grid[..., 2].min() < -30) == (frame.depth_m is None)
-    rings = lines[(colors == RING_COLOR).all(axis=(1, 2))]
+    rings = lines[(colors == DARK.rings).all(axis=(1, 2))]
     assert (len(rings) > 0) == (frame.depth_m is None)
     if len(rings):
         radius = np.linalg.norm(rings[:72, :, [0, 2]], axis=2)

@@ -25,7 +25,6 @@ from annotator.rcv.known_objects import first_views
 from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, Camera, Frame, OrientedBox, PointCloud, ReviewState
 from annotator.web.viewport.drawing import (
-    UNLABELLED_COLOR,
     Draft,
     Gizmo,
     PointColor,
@@ -42,11 +41,13 @@ from annotator.web.viewport.drawing import (
 )
 from annotator.web.viewport.faces import LEAST_M
 from annotator.web.viewport.guides import arrow_lines
+from annotator.web.viewport.palette import PALETTES, Theme
 from annotator.web.viewport.viewports import Viewport
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.workbench.drawing_steps import label_steps
 from annotator.workflows.workbench.frame_cache import OpenFrame
 
+DARK, LIGHT = PALETTES[Theme.DARK], PALETTES[Theme.LIGHT]
 # Lines of one box.
 LINES = len(box_lines(np.ones(3)))
 
@@ -383,7 +384,7 @@ def test_a_thinned_point_keeps_its_own_colour_and_the_first_points_are_everywher
     shown = shown_points(frame_of(xyz, rgb).cloud, 100)
     assert len(shown) == 100
     assert 250 < shown.xyz_m[:50, 0].mean() < 750  # a browser may draw only these
-    colors = point_colors(shown, PointColor.RGB, ground_of(shown)).astype(int)
+    colors = point_colors(shown, PointColor.RGB, ground_of(shown), DARK).astype(int)
     np.testing.assert_array_equal(colors[:, 0] + 256 * colors[:, 1], shown.xyz_m[:, 0].astype(int))
 
 
@@ -394,7 +395,7 @@ def test_every_cloud_has_every_kind_of_colour(what: str) -> None:
     reflectance = rng.random(n).astype(np.float32) if what == "reflectance" else None
     cloud = frame_of(rng.normal(0, 1, (n, 3)) + np.array([0, 0, 5]), rgb, reflectance).cloud
     for color in PointColor:
-        colors = point_colors(cloud, color, ground_of(cloud))
+        colors = point_colors(cloud, color, ground_of(cloud), DARK)
         assert (colors.shape, colors.dtype) == ((n, 3), np.uint8)
 
 
@@ -402,7 +403,7 @@ def test_height_colours_show_the_height_above_the_ground() -> None:
     height = np.tile(np.linspace(0, 2, 100), 20)
     ahead = np.repeat(np.linspace(2, 12, 20), 100)
     slope = frame_of(np.column_stack([np.zeros(2000), 0.05 * ahead - height, ahead])).cloud
-    colors = point_colors(slope, PointColor.HEIGHT, ground_of(slope)).reshape(20, 100, 3).astype(int)
+    colors = point_colors(slope, PointColor.HEIGHT, ground_of(slope), DARK).reshape(20, 100, 3).astype(int)
     assert (colors[:, 0, 2] > colors[:, 0, 0]).all()  # low: blue
     assert (colors[:, -1, 0] > colors[:, -1, 2]).all()  # high: red
 
@@ -426,12 +427,17 @@ def test_points_are_left_out_by_height_and_by_the_selected_box_and_those_in_no_b
     cloud = node(viewport, "/cloud")
     stands = ground.above_m(cloud.points) >= ground.thickness_m
     in_a_box = np.any([contains(shown.box, cloud.points) for shown in boxes], axis=0)
-    bright = (cloud.colors == UNLABELLED_COLOR).all(axis=1)
+    before = node(viewport, "/guides").colors[0].copy()
+    bright = (cloud.colors == DARK.unlabelled).all(axis=1)
     np.testing.assert_array_equal(bright, stands & ~in_a_box)
     sent(viewport)
     viewport.show(replace(content, color=PointColor.UNLABELLED, boxes=boxes[1:]))
     assert "SceneNodeUpdateMessage /cloud colors" in sent(viewport), "a box was removed"
-    assert np.count_nonzero((cloud.colors == UNLABELLED_COLOR).all(axis=1)) > bright.sum()
+    assert np.count_nonzero((cloud.colors == DARK.unlabelled).all(axis=1)) > bright.sum()
+    # the theme is that of the page
+    viewport.show(replace(content, color=PointColor.UNLABELLED, theme=Theme.LIGHT))
+    np.testing.assert_array_equal((cloud.colors == LIGHT.unlabelled).all(axis=1), bright)
+    assert (node(viewport, "/guides").colors[0] != before).any()
 
 
 def test_a_box_may_have_another_colour_than_that_of_its_state(

@@ -3,7 +3,7 @@
 import { ApiError, isAborted } from "./errors.js";
 
 /**
- * The caller gives the type of the answer, which the server's routes define (see `Api`).
+ * The types of answers are those of the server's routes (`Api.Answers`).
  *
  * @param {EffortCounter} effort
  * @param {() => unknown} onSignedOut called with each 401.
@@ -23,21 +23,13 @@ export function createApi(effort, onSignedOut) {
     if (body !== undefined) headers["Content-Type"] = isFile ? "application/octet-stream" : "application/json";
     let response;
     try {
-      const sent = isFile ? body : body === undefined ? undefined : JSON.stringify(body);
-      response = await fetch(path, {
-        method,
-        headers,
-        credentials: "same-origin",
-        signal: options.signal,
-        body: sent,
-      });
+      const sent = isFile ? body : JSON.stringify(body);
+      response = await fetch(path, { method, headers, signal: options.signal, body: sent });
     } catch (error) {
       if (isAborted(error)) throw error;
-      throw new ApiError(
-        0,
-        "NoAnswer",
-        "The server does not respond. Saved work is safe. Check that the server is running, then try again.",
-      );
+      const text =
+        "The server does not respond. Saved work is safe. Check that the server is running, then try again.";
+      throw new ApiError(0, "NoAnswer", text);
     }
     if (response.ok) return response;
     const answer = await readJson(response);
@@ -48,12 +40,11 @@ export function createApi(effort, onSignedOut) {
   }
 
   /**
-   * @template T
    * @param {string} method
    * @param {string} path
    * @param {unknown} body
    * @param {RequestOptions} [options]
-   * @returns {Promise<T>}
+   * @returns {Promise<any>} of the type that the server's schema gives to the route (`Answer`).
    */
   async function request(method, path, body, options = {}) {
     return readJson(await send(method, path, body, options));
@@ -79,66 +70,50 @@ export function createApi(effort, onSignedOut) {
       }
     },
 
-    /**
-     * @template T
-     * @param {string} path
-     * @param {RequestOptions} [options]
-     * @returns {Promise<T>}
-     */
+    /** @type {Ask<"GET">} */
     get: (path, options) => request("GET", path, undefined, options),
 
-    /**
-     * @template T
-     * @param {string} path
-     * @param {object} [body]
-     * @param {RequestOptions} [options]
-     * @returns {Promise<T>}
-     */
+    /** JSON, or a file. @type {Send<"POST">} */
     post: (path, body = {}, options = {}) => request("POST", path, body, options),
 
-    /**
-     * A POST of a file.
-     *
-     * @template T
-     * @param {string} path
-     * @param {File} file
-     * @returns {Promise<T>}
-     */
-    upload: (path, file) => request("POST", path, file),
-
-    /**
-     * @template T
-     * @param {string} path
-     * @param {object} body
-     * @returns {Promise<T>}
-     */
+    /** @type {Send<"PUT">} */
     put: (path, body) => request("PUT", path, body),
 
-    /**
-     * @template T
-     * @param {string} path
-     * @param {object} body
-     * @returns {Promise<T>}
-     */
+    /** @type {Send<"PATCH">} */
     patch: (path, body) => request("PATCH", path, body),
 
-    del: (/** @type {string} */ path) => request("DELETE", path, undefined),
+    /** @type {Ask<"DELETE">} */
+    del: (path) => request("DELETE", path, undefined),
 
-    /**
-     * A POST that carries the effort since the last acknowledged change.
-     *
-     * @template T
-     * @param {string} path
-     * @param {object} body
-     * @returns {Promise<T>}
-     */
+    /** A POST that carries the effort since the last acknowledged change. @type {Send<"POST">} */
     async change(path, body) {
       const sent = effort.peek();
-      /** @type {T} */
       const answer = await request("POST", path, { ...body, effort: sent });
       effort.acknowledge(sent);
       return answer;
     },
+  };
+}
+
+/**
+ * A path with a query.
+ *
+ * @template {string} P
+ * @param {P} path
+ * @param {Record<string, string>} query
+ */
+export const withQuery = (path, query) => /** @type {P} */ (`${path}?${new URLSearchParams(query)}`);
+
+/**
+ * For requests of which only the newest counts: `const isNewest = begin()` before one, `isNewest()` after it.
+ *
+ * @returns {() => () => boolean} begin
+ */
+export function newest() {
+  let asked = 0;
+  return () => {
+    const own = ++asked;
+    return () => own === asked;
   };
 }
 
@@ -158,7 +133,14 @@ async function readJson(/** @type {Response} */ response) {
   }
 }
 
-/** The path of a project's resource: projectPath("hands", "frames", 3) -> /api/projects/hands/frames/3. */
-export function projectPath(/** @type {string} */ project, /** @type {...(string | number)} */ ...parts) {
-  return ["/api/projects", ...[project, ...parts].map((part) => encodeURIComponent(part))].join("/");
+/**
+ * The path of a project's resource: projectPath("hands", "frames", 3) -> /api/projects/hands/frames/3.
+ *
+ * @template {readonly (string | number)[]} const P
+ * @param {string} project
+ * @param {P} parts
+ */
+export function projectPath(project, ...parts) {
+  const path = ["/api/projects", ...[project, ...parts].map((part) => encodeURIComponent(part))].join("/");
+  return /** @type {ProjectPath<P>} */ (path);
 }

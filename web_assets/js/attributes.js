@@ -1,6 +1,7 @@
 /** The attributes of the selected box, of its track and of the frame: a field for each, and the keys for them. */
 
 import { h, leaveField } from "./dom.js";
+import { select } from "./forms.js";
 
 /** An integer attribute with more values is typed, not chosen. */
 const MOST_STEPS = 20;
@@ -51,17 +52,9 @@ export function createAttributes(host, app, target) {
   /** @type {Map<string, HTMLSelectElement | HTMLInputElement>} */
   const fields = new Map();
   let shown = "";
-  /**
-   * The uid of the box whose values are shown.
-   *
-   * @type {string | null}
-   */
+  /** The uid of the box whose values are shown. @type {string | null} */
   let owner = null;
-  /**
-   * The field that is being typed in.
-   *
-   * @type {HTMLInputElement | null}
-   */
+  /** The field that is being typed in. @type {HTMLInputElement | null} */
   let typed = null;
 
   /** The attributes of the selected box and of the frame. */
@@ -94,56 +87,49 @@ export function createAttributes(host, app, target) {
     /** @type {HTMLSelectElement | HTMLInputElement} */
     let input;
     if (values) {
-      input = h(
-        "select",
-        {
-          ...common,
-          onchange: () => {
-            const index = Number(input.value);
-            input.blur();
-            set(attribute, input.value === "" ? null : values[index]);
-          },
-        },
-        h("option", { value: "" }, "–"),
-        values.map((value, index) => h("option", { value: String(index) }, nameOf(value))),
-      );
+      const rows = values.map((value, index) => [String(index), nameOf(value)]);
+      const onchange = () => {
+        const index = Number(input.value);
+        input.blur();
+        set(attribute, input.value === "" ? null : values[index]);
+      };
+      input = select([["", "–"], ...rows], { ...common, onchange });
     } else {
-      const isText = kind === "text";
-      /** @type {HTMLInputElement} */
-      const own = h("input", {
-        ...common,
-        type: isText ? "text" : "number",
-        step: kind === "integer" ? 1 : "any",
-        min: minimum,
-        max: maximum,
-        maxlength: isText ? 1000 : undefined,
-        oninput: () => {
-          typed = own;
-        },
-        onchange: () => {
-          if (typed !== own) return;
-          typed = null;
-          // such as "1e"
-          if (own.validity.badInput) return show();
-          const value = isText ? own.value : own.valueAsNumber;
-          set(attribute, value === "" || Number.isNaN(value) ? null : value);
-        },
-        onkeydown: (event) => {
-          if (event.key !== "Escape") return;
-          event.preventDefault();
-          typed = null;
-          show();
-        },
-      });
-      input = own;
+      const range = { type: "number", step: kind === "integer" ? 1 : "any", min: minimum, max: maximum };
+      input = typedField(attribute, { ...common, ...(kind === "text" ? { type: "text", maxlength: 1000 } : range) });
     }
     fields.set(name, input);
     return h(
-      "label",
-      { class: "number-field" },
-      h("span", {}, name, required ? " *" : "", key ? " " : "", key ? h("kbd", {}, `Alt ${key.toUpperCase()}`) : ""),
+      "label.number-field",
+      h("span", name, required ? " *" : "", key ? " " : "", key ? h("kbd", `Alt ${key.toUpperCase()}`) : ""),
       input,
     );
+  }
+
+  /** A field whose value counts when it is left, and not if Escape is pressed. */
+  function typedField(/** @type {Attribute} */ attribute, /** @type {Attributes} */ more) {
+    /** @type {HTMLInputElement} */
+    const own = h("input", {
+      ...more,
+      oninput: () => {
+        typed = own;
+      },
+      onchange: () => {
+        if (typed !== own) return;
+        typed = null;
+        // such as "1e"
+        if (own.validity.badInput) return show();
+        const value = own.type === "text" ? own.value : own.valueAsNumber;
+        set(attribute, value === "" || Number.isNaN(value) ? null : value);
+      },
+      onkeydown: (event) => {
+        if (event.key !== "Escape") return;
+        event.preventDefault();
+        typed = null;
+        show();
+      },
+    });
+    return own;
   }
 
   function show() {
@@ -156,7 +142,7 @@ export function createAttributes(host, app, target) {
     if (signature !== shown) {
       shown = signature;
       fields.clear();
-      host.replaceChildren(h("legend", {}, "Attributes"), ...attributes.map(field));
+      host.replaceChildren(h("legend", "Attributes"), ...attributes.map(field));
       host.hidden = attributes.length === 0;
     }
     for (const attribute of attributes) {

@@ -2,6 +2,7 @@
 
 import { h } from "./dom.js";
 import { messageOf } from "./errors.js";
+import { onTheme } from "./colors.js";
 
 const SCRIPT = "/assets/vendor/plotly.min.js";
 
@@ -35,19 +36,7 @@ function themeColors() {
     probe.style.color = `var(--${name})`;
     return getComputedStyle(probe).color;
   };
-  const names = [
-    "text",
-    "muted",
-    "line",
-    "accent",
-    "good",
-    "warn",
-    "bad",
-    "proposed",
-    "accepted",
-    "edited",
-    "rejected",
-  ];
+  const names = "text muted line accent good warn bad proposed accepted edited rejected".split(" ");
   const colors = Object.fromEntries(names.map((name) => [name, read(name)]));
   probe.remove();
   return colors;
@@ -64,63 +53,75 @@ const nothingYet = (/** @type {string} */ color) => ({
 });
 
 /**
- * A chart in `host` that follows the theme and the size of the host.
+ * Charts of the same data side by side, which follow the theme and their size.
  *
- * @param {HTMLElement} host
- * @param {(colors: Record<string, string>) => Chart} make is called again at each draw.
- * @returns {{draw(): Promise<void>, destroy(): void}}
+ * @template T
+ * @param {"div.charts" | "div.charts.three"} tag
+ * @param {[string, string | null, (data: T, colors: Colors) => Chart][]} figures title, test id, and what is drawn.
  */
-export function createChart(host, make) {
+export function createCharts(tag, figures) {
+  const hosts = figures.map(([, testid]) => h("div.chart", { "data-testid": testid }));
+  const root = h(
+    tag,
+    figures.map(([title], i) => h("figure", h("figcaption", title), hosts[i])),
+  );
   /** @type {Plotly | null} */
   let plotly = null;
   let ended = false;
+  /** What was drawn last. @type {[T] | null} */
+  let shown = null;
 
-  async function draw() {
+  async function draw(/** @type {T} */ data) {
+    shown = [data];
     try {
       plotly ??= await loadPlotly();
     } catch (error) {
-      host.textContent = `No chart: ${messageOf(error)}. The table has the same numbers.`;
+      for (const host of hosts) host.textContent = `No chart: ${messageOf(error)}. The table has the same numbers.`;
       return;
     }
-    if (ended || !host.isConnected) return;
+    if (ended || !root.isConnected) return;
     const colors = themeColors();
-    const { traces, layout } = make(colors);
-    const axis = { gridcolor: colors.line, zerolinecolor: colors.line, linecolor: colors.line, automargin: true };
-    const base = {
-      paper_bgcolor: "rgba(0,0,0,0)",
-      plot_bgcolor: "rgba(0,0,0,0)",
-      font: { family: "system-ui, sans-serif", size: 12, color: colors.text },
-      margin: { l: 44, r: 10, t: 28, b: 34 },
-      legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom", font: { color: colors.muted, size: 11.5 } },
-      hovermode: "closest",
-    };
-    const full = { ...base, ...layout, xaxis: { ...axis, ...layout.xaxis }, yaxis: { ...axis, ...layout.yaxis } };
-    if (!traces.some(hasValues)) Object.assign(full, { annotations: [nothingYet(colors.muted)] });
-    await plotly.react(host, traces, full, { displayModeBar: false, responsive: true });
+    for (const [i, [, , make]] of figures.entries()) void react(plotly, hosts[i], make(data, colors), colors);
   }
 
-  const watcher = new MutationObserver(() => void draw());
-  watcher.observe(document.documentElement, { attributeFilter: ["data-theme"] });
-  const scheme = matchMedia("(prefers-color-scheme: dark)");
-  scheme.addEventListener("change", draw);
+  const stop = onTheme(() => void (shown && draw(...shown)));
 
   return {
+    root,
     draw,
     destroy() {
       ended = true;
-      watcher.disconnect();
-      scheme.removeEventListener("change", draw);
-      plotly?.purge(host);
+      stop();
+      for (const host of hosts) plotly?.purge(host);
     },
   };
+}
+
+function react(
+  /** @type {Plotly} */ plotly,
+  /** @type {HTMLElement} */ host,
+  /** @type {Chart} */ { traces, layout },
+  /** @type {Colors} */ colors,
+) {
+  const axis = { gridcolor: colors.line, zerolinecolor: colors.line, linecolor: colors.line, automargin: true };
+  const base = {
+    paper_bgcolor: "rgba(0,0,0,0)",
+    plot_bgcolor: "rgba(0,0,0,0)",
+    font: { family: "system-ui, sans-serif", size: 12, color: colors.text },
+    margin: { l: 44, r: 10, t: 28, b: 34 },
+    legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom", font: { color: colors.muted, size: 11.5 } },
+    hovermode: "closest",
+    annotations: traces.some(hasValues) ? [] : [nothingYet(colors.muted)],
+  };
+  const full = { ...base, ...layout, xaxis: { ...axis, ...layout.xaxis }, yaxis: { ...axis, ...layout.yaxis } };
+  return plotly.react(host, traces, full, { displayModeBar: false, responsive: true });
 }
 
 // -- numbers and tables
 
 export const number = (/** @type {number | null | undefined} */ value, /** @type {number} */ digits = 1) =>
-  value === null || value === undefined
-    ? "–"
-    : value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits });
+  value?.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits }) ?? "–";
+
 /** A time: hours, or minutes below one hour. */
 export function duration(/** @type {number | null | undefined} */ hours) {
   if (hours === null || hours === undefined) return "–";
@@ -128,35 +129,24 @@ export function duration(/** @type {number | null | undefined} */ hours) {
   if (minutes >= 60) return `${number(hours)} h`;
   return minutes === 0 && hours > 0 ? "under 1 min" : `${minutes} min`;
 }
-export const percent = (/** @type {number | null | undefined} */ value) =>
-  value === null || value === undefined ? "–" : `${number(100 * value, 0)} %`;
-export function section(/** @type {string} */ title, /** @type {HTMLElement} */ table) {
-  return h("section", { class: "panel" }, h("header", {}, h("h2", {}, title)), h("div", { class: "scroll-x" }, table));
-}
 
-export function table(/** @type {string[]} */ heads, /** @type {string[][]} */ rows, /** @type {string} */ testid) {
-  return h(
-    "table",
-    { class: "dense", "data-testid": testid },
+export const percent = (/** @type {number | null | undefined} */ share) =>
+  share === null || share === undefined ? "–" : `${number(100 * share, 0)} %`;
+
+/** A panel with a table: its first column names the rows, the others have numbers. */
+export function table(
+  /** @type {string} */ title,
+  /** @type {string} */ testid,
+  /** @type {string[]} */ heads,
+  /** @type {string[][]} */ rows,
+) {
+  const head = heads.map((text, i) => h("th", { scope: "col", class: i ? "number right" : "" }, text));
+  const row = (/** @type {string[]} */ [name, ...cells]) =>
     h(
-      "thead",
-      {},
-      h(
-        "tr",
-        {},
-        heads.map((text, i) => h("th", { scope: "col", class: i ? "number right" : "" }, text)),
-      ),
-    ),
-    h(
-      "tbody",
-      {},
-      rows.map((cells) =>
-        h(
-          "tr",
-          {},
-          cells.map((cell, i) => (i ? h("td", { class: "number right" }, cell) : h("th", { scope: "row" }, cell))),
-        ),
-      ),
-    ),
-  );
+      "tr",
+      h("th", { scope: "row" }, name),
+      cells.map((cell) => h("td.number.right", cell)),
+    );
+  const shown = h("table.dense", { "data-testid": testid }, h("thead", h("tr", head)), h("tbody", rows.map(row)));
+  return h("section.panel", h("header", h("h2", title)), h("div.scroll-x", shown));
 }

@@ -8,6 +8,8 @@
  */
 export const STATE_COLORS = { proposed: "#f0ad4e", accepted: "#5fca85", edited: "#6aaef5", rejected: "#9aa1ad" };
 
+export const STATES = Object.keys(STATE_COLORS);
+
 /** Of 20 classes; any two, and each beside what is proposed, are at least 0.12 apart in OKLab. */
 export const PALETTE = [
   ...["#2ec4f0", "#ff5d8f", "#b5e61d", "#9d8df1", "#fc6c0c", "#3ddc97", "#b40cc0", "#0c60fc", "#f0e49c", "#488400"],
@@ -44,4 +46,31 @@ export function trackColor(/** @type {number | null} */ id) {
 export function isDark(color) {
   const [red, green, blue] = [1, 3, 5].map((at) => Number.parseInt(color.slice(at, at + 2), 16));
   return 0.299 * red + 0.587 * green + 0.114 * blue < 110;
+}
+
+/**
+ * Calls a function when the page gets other colours: by its switch, or because the system has turned dark or light.
+ *
+ * @returns {() => void} ends that.
+ */
+export function onTheme(/** @type {() => void} */ fn) {
+  const watcher = new MutationObserver(fn);
+  watcher.observe(document.documentElement, { attributeFilter: ["data-theme"] });
+  const scheme = matchMedia("(prefers-color-scheme: dark)");
+  scheme.addEventListener("change", fn);
+  return () => {
+    watcher.disconnect();
+    scheme.removeEventListener("change", fn);
+  };
+}
+
+/**
+ * The theme that is shown.
+ *
+ * @returns {Api.Theme}
+ */
+export function themeNow() {
+  const { theme = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light" } =
+    document.documentElement.dataset;
+  return theme === "light" ? "light" : "dark";
 }

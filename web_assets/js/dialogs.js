@@ -1,7 +1,10 @@
 /** Modal dialogs: a form in a <dialog>, which keeps the focus inside and closes with Escape. */
 
 import { h, iconButton } from "./dom.js";
-import { messageOf } from "./errors.js";
+import { errorBox, showProblem } from "./forms.js";
+
+/** Closes a dialog without doing anything. */
+export const CANCEL = { label: "Cancel", value: "cancel" };
 
 /**
  * Shows a dialog until one of its actions is done.
@@ -9,10 +12,10 @@ import { messageOf } from "./errors.js";
  * @template [T=string]
  * @param {object} options
  * @param {string} options.title
- * @param {Node[]} options.content
+ * @param {Child[]} options.content
  * @param {{label: string, value: string, kind?: string}[]} options.actions Enter triggers the last one.
- * @param {(value: string, form: HTMLFormElement) => T | Promise<T>} [options.submit] performs an action; its
- *     result is the dialog's. If it throws, the dialog stays open and shows the error.
+ * @param {(value: string, form: HTMLFormElement) => T | Promise<T>} [options.submit] performs an action other than
+ *     CANCEL; its result is the dialog's. If it throws, the dialog stays open and shows the error.
  * @param {boolean} [options.required] it cannot be closed without an action.
  * @param {boolean} [options.wide]
  * @param {string | null} [options.testid]
@@ -20,16 +23,13 @@ import { messageOf } from "./errors.js";
  */
 export function openDialog({ title, content, actions, submit, required = false, wide = false, testid = null }) {
   return new Promise((resolve) => {
-    const problem = h("p", { class: "error-box", role: "alert", hidden: true });
+    const problem = errorBox();
     const buttons = actions.map(({ label, value, kind }, index) => {
       const look = kind ?? (index === actions.length - 1 ? "primary" : "");
       // fields need not be filled for "Cancel"
       const formnovalidate = index < actions.length - 1;
-      return h(
-        "button",
-        { type: "submit", value, class: look, formnovalidate, "data-testid": `dialog-${value}` },
-        label,
-      );
+      const attributes = { type: "submit", value, class: look, formnovalidate, "data-testid": `dialog-${value}` };
+      return h("button", attributes, label);
     });
     const last = buttons[buttons.length - 1];
     const dialog = h("dialog", { class: wide ? "wide" : "", "aria-label": title, "data-testid": testid });
@@ -37,10 +37,10 @@ export function openDialog({ title, content, actions, submit, required = false, 
     const form = h(
       "form",
       { method: "dialog" },
-      h("header", {}, h("h2", {}, title), close),
+      h("header", h("h2", title), close),
       // so that a table without fields can be scrolled by keys
-      h("div", { class: "content", tabindex: wide ? 0 : null }, content, problem),
-      h("footer", {}, buttons),
+      h("div.content", { tabindex: wide ? 0 : null }, content, problem),
+      h("footer", buttons),
     );
     dialog.append(form);
     /** @type {T | null} */
@@ -48,14 +48,14 @@ export function openDialog({ title, content, actions, submit, required = false, 
     form.addEventListener("submit", async (event) => {
       event.preventDefault();
       const { value } = buttons.find((button) => button === event.submitter) ?? last;
+      if (value === CANCEL.value) return dialog.close();
       for (const button of buttons) button.disabled = true;
-      problem.hidden = true;
+      showProblem(problem, null);
       try {
         result = submit ? await submit(value, form) : /** @type {T} */ (value);
         dialog.close();
       } catch (error) {
-        problem.textContent = messageOf(error);
-        problem.hidden = false;
+        showProblem(problem, error);
       } finally {
         for (const button of buttons) button.disabled = false;
       }
@@ -88,11 +88,8 @@ export async function confirm(
   /** @type {string} */ action,
   /** @type {string} */ kind = "primary",
 ) {
-  const actions = [
-    { label: "Cancel", value: "no" },
-    { label: action, value: "yes", kind },
-  ];
-  return (await openDialog({ title, content: [h("p", {}, text)], actions })) === "yes";
+  const actions = [CANCEL, { label: action, value: "yes", kind }];
+  return (await openDialog({ title, content: [h("p", text)], actions })) === "yes";
 }
 
 /**
@@ -106,7 +103,7 @@ export async function askUnsaved(unsaved, look) {
   const choice = await openDialog({
     title: "Not everything is saved",
     testid: "unsaved-dialog",
-    content: [h("p", {}, unsaved.text)],
+    content: [h("p", unsaved.text)],
     actions: [
       { label: "Discard and continue", value: "discard", kind: "danger" },
       { label: "Stay here", value: "stay", kind: "" },
@@ -131,18 +128,16 @@ export function keyTableDialog(/** @type {Keys} */ keys) {
   const sections = [...groups].map(([group, rows]) =>
     h(
       "section",
-      {},
-      h("h3", {}, group),
+      h("h3", group),
       h(
         "dl",
-        {},
-        rows.flatMap((row) => [h("dt", {}, keyCaps(row)), h("dd", {}, row.label)]),
+        rows.flatMap((row) => [h("dt", keyCaps(row)), h("dd", row.label)]),
       ),
     ),
   );
   return openDialog({
     title: "Keys",
-    content: [h("div", { class: "key-table" }, sections)],
+    content: [h("div.key-table", sections)],
     actions: [{ label: "Close", value: "close" }],
     wide: true,
     testid: "key-table",
@@ -153,6 +148,6 @@ function keyCaps(/** @type {import("./keys.js").KeyRow} */ row) {
   const names = row.shown ?? row.keys;
   return names.flatMap((name, index) => [
     index > 0 && !row.shown ? " or " : " ",
-    ...name.split(/(?<=.)\+/).map((part) => h("kbd", {}, part)),
+    ...name.split(/(?<=.)\+/).map((part) => h("kbd", part)),
   ]);
 }

@@ -3,41 +3,45 @@
 const SVG = "http://www.w3.org/2000/svg";
 
 /**
- * An element: h("button", {class: "primary", onclick: fn, disabled: true}, "Save"). A function becomes a listener and
- * true an empty attribute; null and false are left out; `value` and `checked` are set as properties.
+ * An element: h("button.primary", { onclick: fn, disabled: true }, "Save"), h("p", "Text"). The tag has the classes behind
+ * it, and attributes can be left out. A function becomes a listener and true an empty attribute; null and false are left
+ * out; `value` and `checked` are set as properties.
  *
- * @template {keyof HTMLElementTagNameMap} K
- * @param {K} tag
- * @param {Attributes} [attributes]
+ * @template {string} T
+ * @param {T} tag
+ * @param {Attributes | Child | Child[]} [first] attributes, or the first child.
  * @param {...(Child | Child[])} children
- * @returns {HTMLElementTagNameMap[K]}
+ * @returns {HTMLElementTagNameMap[TagOf<T, HTMLElementTagNameMap>]}
  */
-export function h(tag, attributes, ...children) {
-  return fill(document.createElement(tag), attributes, children);
+export function h(tag, first, ...children) {
+  return fill(document.createElement(tag.split(".")[0]), tag, first, children);
 }
 
 /**
  * The same in SVG.
  *
- * @template {keyof SVGElementTagNameMap} K
- * @param {K} tag
- * @param {Attributes} [attributes]
+ * @template {string} T
+ * @param {T} tag
+ * @param {Attributes | Child | Child[]} [first]
  * @param {...(Child | Child[])} children
- * @returns {SVGElementTagNameMap[K]}
+ * @returns {SVGElementTagNameMap[TagOf<T, SVGElementTagNameMap>]}
  */
-export function s(tag, attributes, ...children) {
-  return fill(document.createElementNS(SVG, tag), attributes, children);
+export function s(tag, first, ...children) {
+  return fill(document.createElementNS(SVG, tag.split(".")[0]), tag, first, children);
 }
 
-/**
- * @template {Element} T
- * @param {T} element
- * @param {Attributes} [attributes]
- * @param {(Child | Child[])[]} [children]
- */
-function fill(element, attributes = {}, children = []) {
-  for (const [name, value] of Object.entries(attributes)) setAttribute(element, name, value);
-  element.append(...present(children));
+/** @returns {any} the element, of the type that its tag says. */
+function fill(
+  /** @type {Element} */ element,
+  /** @type {string} */ tag,
+  /** @type {Attributes | Child | Child[]} */ first,
+  /** @type {(Child | Child[])[]} */ children,
+) {
+  const names = tag.split(".").slice(1).join(" ");
+  if (names) element.setAttribute("class", names);
+  const isChild = first?.constructor !== Object;
+  if (!isChild) for (const [name, value] of Object.entries(first)) setAttribute(element, name, value);
+  element.append(...present(isChild ? [/** @type {Child | Child[]} */ (first), ...children] : children));
   return element;
 }
 
@@ -56,29 +60,7 @@ function setAttribute(
   else element.setAttribute(name, value === true ? "" : String(value));
 }
 
-/**
- * Shows what was typed or chosen in a field the last time, and keeps it in this browser.
- *
- * @template {HTMLInputElement | HTMLSelectElement} T
- * @param {string} key of all its fields, unique.
- * @param {T} field
- */
-export function remembered(key, field) {
-  const name = field instanceof HTMLInputElement && field.type === "checkbox" ? "checked" : "value";
-  const kept = localStorage.getItem(key);
-  const before = field.value;
-  if (kept !== null) Object.assign(field, { [name]: name === "checked" ? kept === "true" : kept });
-  // a choice that is offered no more
-  if (field instanceof HTMLSelectElement && field.selectedIndex < 0) field.value = before;
-  field.addEventListener("change", () => localStorage.setItem(key, String(Reflect.get(field, name))));
-  return field;
-}
-
-/**
- * What the elements made here do on events.
- *
- * @type {WeakMap<Node, Record<string, EventListener>>}
- */
+/** What the elements made here do on events. @type {WeakMap<Node, Record<string, EventListener>>} */
 const listeners = new WeakMap();
 
 function listen(/** @type {Element} */ element, /** @type {string} */ type, /** @type {EventListener} */ fn) {
@@ -148,6 +130,10 @@ const GLYPHS = {
   check: "M3 8.5 6.5 12 13 4.5",
   warning: "M8 2.5 14.5 13.5h-13ZM8 6.5v3.5M8 12v.1",
   more: "M4 8a1 1 0 1 0-2 0 1 1 0 1 0 2 0M9 8a1 1 0 1 0-2 0 1 1 0 1 0 2 0M14 8a1 1 0 1 0-2 0 1 1 0 1 0 2 0",
+  download: "M8 2.5v8M4.5 7.5 8 11l3.5-3.5M3 13.5h10",
+  drag: "M2.5 2.5h2M6.5 2.5h2M10.5 2.5h1M2.5 2.5v2M2.5 6.5v2M2.5 10.5v1h2M11.5 2.5v2M8 8l6 2.2-2.6 1.2L10.2 14Z",
+  box: "M8 1.8 13.5 4.7v6.6L8 14.2 2.5 11.3V4.7ZM2.5 4.7 8 7.6l5.5-2.9M8 7.6v6.6",
+  track: "M1.8 5.5h3.4v5H1.8ZM7 5.5h2.6v5H7ZM11.6 5.5h2.6v5h-2.6ZM3.5 3h9M10.8 1.5 12.5 3l-1.7 1.5",
   lock: "M4 7.5h8V14H4ZM5.5 7.5V5a2.5 2.5 0 0 1 5 0v2.5",
 };
 
@@ -177,6 +163,22 @@ export function iconButton(
   return button(glyph(icon), onclick, { class: "icon quiet", title: label, "aria-label": label, ...more });
 }
 
+/** A list of texts. */
+export const bullets = (/** @type {string[]} */ texts, /** @type {Attributes} */ more = {}) =>
+  h(
+    "ul",
+    more,
+    texts.map((text) => h("li", text)),
+  );
+
+/** What a page that has nothing to show says, below a title if it has one, and a link to what to do. */
+export const nothing = (
+  /** @type {string} */ title,
+  /** @type {string} */ text,
+  /** @type {string} */ href,
+  /** @type {string} */ action,
+) => h("div.empty", title && h("h2", title), h("p", text), h("a.button", { href }, action));
+
 /** 1 -> "1 frame", 2 -> "2 frames". */
 export function count(
   /** @type {number} */ number,
@@ -185,6 +187,10 @@ export function count(
 ) {
   return `${number.toLocaleString("en")} ${number === 1 ? word : plural}`;
 }
+
+/** A time, milliseconds since 1970, as "5 Jan 2026, 12:00". */
+export const dateOf = (/** @type {number} */ ms) =>
+  new Date(ms).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
 
 /** Leaves the text or number field within `host` that has the focus, which stores what was typed in it. */
 export function leaveField(/** @type {Element} */ host = document.body) {

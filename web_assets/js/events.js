@@ -5,14 +5,32 @@ const LONGEST_WAIT_MS = 8000;
 // A page does not wait longer for the first connection; it reads everything again once it is connected.
 const FIRST_CONNECTION_MS = 2000;
 
+/** Functions that are called by a name. */
+export function createListeners() {
+  /** @type {Map<string, Set<(value: never) => unknown>>} */
+  const known = new Map();
+  return {
+    call(/** @type {string} */ name, /** @type {unknown} */ value) {
+      for (const fn of [...(known.get(name) ?? [])]) fn(/** @type {never} */ (value));
+    },
+    /** Calls a function until it is removed, which the answer does, or until `until` is aborted. */
+    on(/** @type {string} */ name, /** @type {(value: never) => unknown} */ fn, /** @type {AbortSignal=} */ until) {
+      const all = known.get(name) ?? new Set();
+      known.set(name, all.add(fn));
+      const remove = () => all.delete(fn);
+      until?.addEventListener("abort", remove);
+      return remove;
+    },
+  };
+}
+
 /** See `Messages` for the types of messages and their contents. */
 export function createEvents() {
-  /** @type {Map<string, Set<(message: never) => unknown>>} */
-  const listeners = new Map();
+  const listeners = createListeners();
   /** @type {WebSocket | null} */
   let socket = null;
-  /** @type {string | null} */
-  let project = null;
+  /** @type {string | null | undefined} */
+  let project;
   /** @type {number | null} */
   let shownFrame = null;
   let waitMs = FIRST_WAIT_MS;
@@ -22,18 +40,13 @@ export function createEvents() {
   let onFirst = () => {};
   let ready = Promise.resolve();
 
-  /**
-   * @template {keyof Messages} K
-   * @param {K} type
-   * @param {Messages[K]} message
-   */
-  function emit(type, message) {
-    for (const fn of [...(listeners.get(type) ?? [])]) fn(/** @type {never} */ (message));
-  }
+  /** @type {<K extends keyof Messages>(type: K, message: Messages[K]) => void} */
+  const emit = listeners.call;
 
-  function connect(/** @type {string} */ name) {
+  function connect(/** @type {string | null} */ name) {
     const scheme = location.protocol === "https:" ? "wss" : "ws";
-    const mine = new WebSocket(`${scheme}://${location.host}/api/events?project=${encodeURIComponent(name)}`);
+    const of = name === null ? "" : `?project=${encodeURIComponent(name)}`;
+    const mine = new WebSocket(`${scheme}://${location.host}/api/events${of}`);
     socket = mine;
     mine.onopen = () => {
       waitMs = FIRST_WAIT_MS;
@@ -57,7 +70,7 @@ export function createEvents() {
     };
   }
 
-  async function begin(/** @type {string} */ name) {
+  async function begin(/** @type {string | null} */ name) {
     /** @type {Promise<void>} */
     const first = new Promise((resolve) => {
       onFirst = resolve;
@@ -73,21 +86,15 @@ export function createEvents() {
 
   return {
     /**
-     * Calls `fn(message)` for each message of a type. Returns a function that removes this listener.
+     * Calls a function for each message of a type; see `createListeners`.
      *
-     * @template {keyof Messages} K
-     * @param {K} type
-     * @param {(message: Messages[K]) => unknown} fn
+     * @type {<K extends keyof Messages>(type: K, fn: (message: Messages[K]) => unknown, until?: AbortSignal) => () => void}
      */
-    on(type, fn) {
-      const known = listeners.get(type) ?? new Set();
-      listeners.set(type, known.add(fn));
-      return () => known.delete(fn);
-    },
+    on: listeners.on,
 
     /**
-     * Receives the messages of a project; null: receives no messages. What is read after this call has resolved
-     * is followed by every later message, or by "reconnected".
+     * Receives the messages of a project, besides those about jobs; null: receives only these. What is read after this
+     * call has resolved is followed by every later message, or by "reconnected".
      */
     follow(/** @type {string | null} */ name) {
       if (name === project) return ready;
@@ -99,9 +106,7 @@ export function createEvents() {
       const old = socket;
       socket = null;
       old?.close();
-      // without a project there is no connection that could be lost
-      if (name === null) emit("connection", true);
-      ready = name === null ? Promise.resolve() : begin(name);
+      ready = begin(name);
       return ready;
     },
 

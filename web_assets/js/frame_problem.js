@@ -8,20 +8,15 @@ import { messageOf } from "./errors.js";
  * @param {{onRetry: () => void, onStep: (which: Direction) => void}} actions what the buttons do.
  */
 export function createFrameProblem(host, { onRetry, onStep }) {
-  const text = h("p", { class: "error-box" });
+  const problem = h("p.error-box");
   const root = h(
-    "div",
-    { class: "frame-problem", role: "alert", hidden: true, "data-testid": "frame-problem" },
-    h("h3", {}, "This frame cannot be shown"),
-    text,
+    "div.frame-problem",
+    { role: "alert", hidden: true, "data-testid": "frame-problem" },
+    h("h3", "This frame cannot be shown"),
+    problem,
+    h("p.help", "Its saved boxes are safe. Solve the problem and try again, or go on with another frame."),
     h(
-      "p",
-      { class: "help" },
-      "Its saved boxes are safe. Solve the problem and try again, or go on with another frame.",
-    ),
-    h(
-      "div",
-      { class: "row" },
+      "div.row",
       button("Try again", onRetry, { "data-testid": "frame-retry" }),
       button("Previous frame", () => onStep("previous"), { "data-testid": "frame-previous" }),
       button("Next frame", () => onStep("next"), { "data-testid": "frame-next" }),
@@ -30,7 +25,7 @@ export function createFrameProblem(host, { onRetry, onStep }) {
   host.append(root);
   return {
     show(/** @type {unknown} */ error) {
-      text.textContent = messageOf(error);
+      problem.textContent = messageOf(error);
       root.hidden = false;
     },
     hide: () => (root.hidden = true),
@@ -39,7 +34,6 @@ export function createFrameProblem(host, { onRetry, onStep }) {
 
 /** The frame before or after one that cannot be read, in the same recording; null if there is none. */
 export async function frameBeside(/** @type {App} */ app, /** @type {number} */ id, /** @type {Direction} */ which) {
-  /** @type {Api.Beside} */
   const beside = await app.api.get(app.path("frames", id, "beside"));
   return beside[which];
 }

@@ -6,23 +6,29 @@
  * remembered, and the frame is read again afterwards (`isBehind`).
  */
 
+import { createListeners } from "./events.js";
+
 /** Maximum number of times that a frame is read if others keep changing it meanwhile. */
 const MOST_READS = 4;
 
 export function createFrameState(/** @type {App} */ app) {
   const { state } = app;
-  /**
-   * Frame id -> the newest revision that an event has reported.
-   *
-   * @type {Map<number, number>}
-   */
+  /** Frame id -> the newest revision that an event has reported. @type {Map<number, number>} */
   const heard = new Map();
   let hasMissed = false;
+  /**
+   * What was read ahead, with its address.
+   *
+   * @type {{ path: string, frame: FrameState } | null}
+   */
+  let ahead = null;
 
   // each project counts its frames from 1; the address of the picture, apart from a time offset, names the project
   const pictureOf = (/** @type {FrameState} */ frame) => frame.image.url.split("&")[0];
   const isSame = (/** @type {FrameState | null} */ a, /** @type {FrameState | null} */ b) =>
     a !== null && b !== null && a.frame.id === b.frame.id && pictureOf(a) === pictureOf(b);
+  const pathOf = (/** @type {number} */ id, /** @type {string | null} */ bestFor) =>
+    `${app.path("frames", id)}${bestFor === null ? "" : `?best_for=${encodeURIComponent(bestFor)}`}`;
   const isOutdated = (/** @type {FrameState} */ frame) => (heard.get(frame.frame.id) ?? -1) > frame.frame.revision;
 
   const frames = {
@@ -39,10 +45,34 @@ export function createFrameState(/** @type {App} */ app) {
       return true;
     },
 
-    /** Reads a frame and opens it. */
-    async open(/** @type {number} */ id, /** @type {RequestOptions} */ options) {
+    /** Reads a frame that may be opened next, with the same arguments as `open`. */
+    async prepare(
+      /** @type {number} */ id,
+      /** @type {string | null} */ bestFor,
+      /** @type {RequestOptions} */ options,
+    ) {
+      const path = pathOf(id, bestFor);
+      /** @type {FrameState} */
+      const frame = await app.api.get(path, options);
+      ahead = { path, frame };
+      return frame;
+    },
+
+    /**
+     * Reads a frame and opens it, or that of its moment in which a camera sees a label best. What was read ahead is
+     * opened at once, and then read again: it also tells what has changed elsewhere.
+     */
+    async open(/** @type {number} */ id, /** @type {string | null} */ bestFor, /** @type {RequestOptions} */ options) {
+      const path = pathOf(id, bestFor);
+      const known = ahead?.path === path && !isOutdated(ahead.frame) ? ahead.frame : null;
+      ahead = null;
+      if (known && !isSame(known, state.frame)) {
+        hasMissed = true;
+        state.set({ frame: known });
+        return known;
+      }
       /** @returns {Promise<FrameState>} */
-      const read = () => app.api.get(app.path("frames", id), options);
+      const read = () => app.api.get(path, options);
       let frame = await read();
       for (let reads = 1; reads < MOST_READS && isOutdated(frame); reads += 1) frame = await read();
       hasMissed = false;
@@ -58,7 +88,6 @@ export function createFrameState(/** @type {App} */ app) {
       const hadMissed = hasMissed;
       hasMissed = false;
       try {
-        /** @type {FrameState} */
         const frame = await app.api.get(app.path("frames", currentFrame(app).frame.id));
         if (isWelcome()) frames.take(frame);
         else hasMissed ||= hadMissed;
@@ -103,8 +132,7 @@ export function currentFrame({ state }) {
 
 /** @returns {State} */
 export function createState(/** @type {StateValues} */ initial) {
-  /** @type {Map<string, Set<(value: never) => unknown>>} */
-  const listeners = new Map();
+  const listeners = createListeners();
   /** @type {State} */
   const state = {
     ...initial,
@@ -112,16 +140,10 @@ export function createState(/** @type {StateValues} */ initial) {
     // listeners are called even if a value is the same object as before
     set(changes) {
       Object.assign(state, changes);
-      for (const [name, value] of Object.entries(changes)) {
-        for (const fn of [...(listeners.get(name) ?? [])]) fn(/** @type {never} */ (value));
-      }
+      for (const [name, value] of Object.entries(changes)) listeners.call(name, value);
     },
 
-    on(name, fn) {
-      const known = listeners.get(name) ?? new Set();
-      listeners.set(name, known.add(fn));
-      return () => known.delete(fn);
-    },
+    on: listeners.on,
   };
   return state;
 }

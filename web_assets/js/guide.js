@@ -9,8 +9,8 @@ const KEY = "guide";
 const STEPS = [
   ["Drag a box around a person on the image", "", "annotate"],
   ["takes the dashed box", "Space", "annotate"],
-  ["follows the person through the recording", "V", "annotate"],
-  ["Review what was found with", "Space", "annotate"],
+  ["follows the person", "V", "annotate"],
+  ["accepts what was found", "Space", "annotate"],
   ["Export the boxes", "", "export"],
 ];
 
@@ -39,14 +39,9 @@ export function stepsDone({ proposed = 0, accepted = 0, edited = 0 }, isExported
 
 /** Adds the strip; its place is there as long as the project is guided, so that nothing moves. */
 export function mountGuide(/** @type {App} */ app) {
-  const list = h("ol", {});
+  const list = h("ol");
   const end = iconButton("close", "End the guide", () => guide(null), { "data-testid": "guide-end" });
-  const root = h(
-    "footer",
-    { class: "guide", hidden: true, "aria-label": "First steps", "data-testid": "guide" },
-    list,
-    end,
-  );
+  const root = h("footer.guide", { hidden: true, "aria-label": "First steps", "data-testid": "guide" }, list, end);
   document.body.append(root);
 
   show = () => {
@@ -56,23 +51,20 @@ export function mountGuide(/** @type {App} */ app) {
     if (root.hidden || !name) return;
     const isExported = jobs.some((job) => job.kind === "export" && job.project === name && job.state === "done");
     const done = stepsDone(project?.labels_by_state ?? {}, isExported);
+    const isDone = done === STEPS.length;
     patch(
       list,
       STEPS.map(([text, key, mode], index) => {
         const isNow = index === done || (index === 1 && done === 0);
-        const words = [
-          key && index !== 3 ? h("kbd", {}, key) : null,
-          ` ${text} `,
-          index === 3 ? h("kbd", {}, key) : null,
-        ];
+        const words = [key ? h("kbd", key) : null, ` ${text}`];
         const isElsewhere = isNow && mode !== route.mode;
         return h(
           "li",
-          { class: index < done ? "done" : "", "aria-current": isNow ? "step" : null },
+          { class: index < done ? "done" : "", hidden: isDone, "aria-current": isNow ? "step" : null },
           isElsewhere ? h("a", { href: makeHash(name, mode) }, words) : words,
         );
       }),
-      h("li", { hidden: done < STEPS.length }, "That is all. ", h("a", { href: "#/" }, "Make a project of your own")),
+      h("li", { hidden: !isDone }, "That is all. ", h("a", { href: "#/" }, "Make a project of your own")),
     );
   };
   for (const what of /** @type {const} */ (["route", "project", "jobs"])) app.state.on(what, () => show());

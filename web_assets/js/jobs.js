@@ -1,6 +1,7 @@
 /** Background jobs of the server: start, follow, stop. Several modes show them. */
 
 import { button, count, h } from "./dom.js";
+import { errorBox, showProblem } from "./forms.js";
 
 /** What a kind of job is called in a sentence. @type {Record<Api.Job["kind"], string>} */
 export const NAMES = {
@@ -14,27 +15,77 @@ export const NAMES = {
   sample: "sample project",
 };
 
-export const isActive = (/** @type {Api.Job} */ job) => job.state === "queued" || job.state === "running";
+/** Those that the start page shows. @type {Api.Job["kind"][]} */
+export const OF_START = ["import", "boxes", "copy", "sample"];
 
-/** The newest job of a kind in the open project, or null. */
-export function latestJob(/** @type {App} */ app, /** @type {Api.Job["kind"]} */ kind) {
-  const mine = app.state.jobs.filter((job) => job.kind === kind && job.project === app.state.route.project);
-  return mine.toSorted((a, b) => b.created_ns - a.created_ns)[0] ?? null;
-}
+export const isActive = (/** @type {Api.Job | null | undefined} */ job) =>
+  job?.state === "queued" || job?.state === "running";
+
+/** The jobs of some kinds in a project, the newest first. */
+export const jobsOf = (
+  /** @type {App} */ app,
+  /** @type {string | null} */ project,
+  /** @type {Api.Job["kind"][]} */ ...kinds
+) =>
+  app.state.jobs
+    .filter((job) => kinds.includes(job.kind) && job.project === project)
+    .toSorted((a, b) => b.created_ns - a.created_ns);
+
+/** The newest job of a kind in the open project. */
+export const latestJob = (/** @type {App} */ app, /** @type {Api.Job["kind"]} */ kind) =>
+  jobsOf(app, app.state.route.project, kind).at(0);
 
 /** Starts a job and shows it at once. */
 export async function startJob(
   /** @type {App} */ app,
   /** @type {Api.TrainRequest | Api.ProposeRequest | Api.LiftRequest | Api.ExportRequest} */ request,
 ) {
-  /** @type {Api.Job} */
-  const job = await app.api.post(app.path("jobs"), request);
-  takeJob(app, job);
-  return job;
+  takeJob(app, await app.api.post(app.path("jobs"), request));
 }
 
+/**
+ * A form that starts a job; what is wrong is said at its end.
+ *
+ * @param {App} app
+ * @param {object} options
+ * @param {string} options.name in its test ids.
+ * @param {string} options.label of the button that starts the job.
+ * @param {(start: HTMLButtonElement) => Child[]} options.content
+ * @param {() => Parameters<typeof startJob>[1]} options.request throws what is wrong with what was chosen.
+ * @param {() => unknown} options.show called afterwards, says whether the button is disabled.
+ */
+export function createJobForm(app, { name, label, content, request, show }) {
+  const start = h("button.primary", { type: "submit", "data-testid": `${name}-start` }, label);
+  const problem = errorBox();
+  const form = h("form.stack", { "data-testid": `${name}-form`, onsubmit: submit }, content(start), problem);
+
+  async function submit(/** @type {SubmitEvent} */ event) {
+    event.preventDefault();
+    showProblem(problem, null);
+    start.disabled = true;
+    try {
+      await startJob(app, request());
+    } catch (error) {
+      showProblem(problem, error);
+    }
+    show();
+  }
+
+  return { form, start };
+}
+
+/** Shows a job that was started; what an event has said of it before is newer. */
 export function takeJob(/** @type {App} */ app, /** @type {Api.Job} */ job) {
-  app.state.set({ jobs: [job, ...app.state.jobs.filter(({ id }) => id !== job.id)] });
+  const { jobs } = app.state;
+  app.state.set({ jobs: jobs.some(({ id }) => id === job.id) ? jobs : [job, ...jobs] });
+}
+
+/** Reads all jobs. What is heard of a job meanwhile is newer. */
+export async function readJobs(/** @type {App} */ app) {
+  const before = app.state.jobs;
+  const jobs = await app.api.get("/api/jobs");
+  const heard = app.state.jobs.filter((job) => !before.includes(job));
+  app.state.set({ jobs: [...heard, ...jobs.filter(({ id }) => !heard.some((job) => job.id === id))] });
 }
 
 /** 75 -> "1 min 15 s". */
@@ -47,7 +98,8 @@ function duration(/** @type {number} */ seconds) {
 }
 
 /**
- * A line with the state of a job (by default the newest of its kind), its progress, and a button to stop it.
+ * A line with the state of a job (by default the newest of its kind), its progress, and a button to stop it. It follows the
+ * job as long as it is in the page, where it must be put at once.
  *
  * @param {App} app
  * @param {Api.Job["kind"]} kind
@@ -57,33 +109,20 @@ export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
   /** The job that imports what the one of this line has left out. */
   let rest = "";
   const current = () => app.state.jobs.find(({ id }) => id === rest) ?? find();
-  const text = h("span", { class: "grow", "data-testid": `job-${kind}-text` });
+  const text = h("span.grow", { "data-testid": `job-${kind}-text` });
   const bar = h("progress", { max: 1, "aria-label": "Progress" });
-  const left = h("span", { class: "muted number" });
+  const left = h("span.muted.number");
   const stop = button("Stop", () => cancel(), { class: "danger", "data-testid": `stop-${kind}` });
   const choose = button("Choose classes …", () => importRest(), { "data-testid": "choose-classes" });
-  const root = h(
-    "div",
-    { class: "job-line", "data-testid": `job-${kind}`, role: "status" },
-    text,
-    bar,
-    left,
-    choose,
-    stop,
-  );
+  const root = h("div.job-line", { "data-testid": `job-${kind}`, role: "status" }, text, bar, left, choose, stop);
 
   async function importRest() {
     const job = current();
-    if (!job) return;
-    try {
-      const { importLeftOut } = await import("./start/class_choice.js");
-      const begun = await importLeftOut(app, job);
-      if (!begun) return;
-      rest = begun.id;
-      takeJob(app, begun);
-    } catch (error) {
-      app.toast(error);
-    }
+    const { importLeftOut } = await import("./start/class_choice.js");
+    const begun = job && (await importLeftOut(app, job));
+    if (!begun) return;
+    rest = begun.id;
+    takeJob(app, begun);
   }
 
   async function cancel() {
@@ -91,37 +130,42 @@ export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
     if (!job) return;
     stop.disabled = true;
     try {
-      takeJob(app, await app.api.post(`/api/jobs/${job.id}/cancel`));
-    } catch (error) {
-      app.toast(error);
+      await app.api.post(`/api/jobs/${job.id}/cancel`);
     } finally {
       stop.disabled = false;
     }
   }
 
-  return {
-    root,
-    show() {
-      const job = current();
-      root.hidden = !job;
-      if (!job) return;
-      root.dataset.state = job.state;
-      text.textContent = describe(job, app.state.jobs);
-      // boxes of classes that the project does not have are no success
-      const { unknown = {}, recordings } = /** @type {ImportResult} */ (job.result ?? {});
-      const classes = Object.keys(unknown);
-      const hasLeftOut = classes.length > 0;
-      if (hasLeftOut && recordings)
-        text.prepend(`Left out: the boxes of ${classes.join(", ")}, which the project does not have as classes. `);
-      text.className = `grow${job.state === "failed" ? " bad" : hasLeftOut ? " warn" : ""}`;
-      choose.hidden = !hasLeftOut || !recordings;
-      stop.hidden = !isActive(job);
-      bar.hidden = !isActive(job);
-      if (job.total > 0) bar.value = job.done / job.total;
-      else bar.removeAttribute("value");
-      left.textContent = job.state === "running" && job.eta_s !== null ? `about ${duration(job.eta_s)} left` : "";
-    },
-  };
+  function show() {
+    const job = current();
+    root.hidden = !job;
+    if (!job) return;
+    root.dataset.state = job.state;
+    text.textContent = describe(job, app.state.jobs);
+    // boxes of classes that the project does not have are no success
+    const { unknown = {}, recordings } = /** @type {ImportResult} */ (job.result ?? {});
+    const classes = Object.keys(unknown);
+    const hasLeftOut = classes.length > 0;
+    if (hasLeftOut && recordings)
+      text.prepend(`Left out: the boxes of ${classes.join(", ")}, which the project does not have as classes. `);
+    text.className = `grow${job.state === "failed" ? " bad" : hasLeftOut ? " warn" : ""}`;
+    choose.hidden = !hasLeftOut || !recordings;
+    stop.hidden = !isActive(job);
+    bar.hidden = !isActive(job);
+    showProgress(bar, job);
+    left.textContent = job.state === "running" && job.eta_s !== null ? `about ${duration(job.eta_s)} left` : "";
+  }
+
+  /** @type {() => unknown} */
+  const forget = app.state.on("jobs", () => (root.isConnected ? show() : forget()));
+  show();
+  return root;
+}
+
+/** Shows how far a job is, as far as that is known. */
+export function showProgress(/** @type {HTMLProgressElement} */ bar, /** @type {Api.Job} */ { done, total }) {
+  if (total > 0) bar.value = done / total;
+  else bar.removeAttribute("value");
 }
 
 /** What a job that waits its turn waits for, and how long that takes as far as it is known. */
@@ -142,59 +186,4 @@ function describe(/** @type {Api.Job} */ job, /** @type {Api.Job[]} */ jobs) {
   if (job.state === "failed") return `Failed: ${job.message ?? "see the server's log"}`;
   if (job.state === "cancelled") return job.message ?? "Stopped";
   return job.message ?? "Done";
-}
-
-// -- jobs of the start page, which has no open project and receives no events of them
-
-/** @type {Api.Job["kind"][]} */
-const KINDS = ["import", "boxes", "copy", "sample"];
-/** Such a job takes between a moment and minutes, so the interval between requests grows. */
-const WAIT_MS = { first: 700, longest: 5000, growth: 1.5 };
-
-export const isOfImport = (/** @type {Api.Job} */ { kind }) => KINDS.includes(kind);
-
-/**
- * Requests the jobs once, and then repeatedly while one of them runs.
- *
- * @param {App} app
- * @param {() => void} onDone called when a job has ended.
- * @returns {() => void} ends the requests.
- */
-export function followImports(app, onDone) {
-  let isOver = false;
-  let timer = 0;
-  let waitMs = WAIT_MS.first;
-  const isImport = (/** @type {Api.Job} */ job) => isOfImport(job) && isActive(job);
-  const running = () => app.state.jobs.filter(isImport).map(({ id }) => id);
-
-  function plan() {
-    clearTimeout(timer);
-    const isRunning = running().length > 0 && !isOver;
-    timer = isRunning ? setTimeout(look, waitMs) : 0;
-    waitMs = isRunning ? Math.min(waitMs * WAIT_MS.growth, WAIT_MS.longest) : WAIT_MS.first;
-  }
-
-  async function look() {
-    const before = running();
-    try {
-      /** @type {Api.Job[]} */
-      const jobs = await app.api.get("/api/jobs");
-      if (isOver) return;
-      // the answer lacks jobs that were started after the request
-      const begun = app.state.jobs.filter((job) => isImport(job) && !jobs.some(({ id }) => id === job.id));
-      app.state.set({ jobs: [...begun, ...jobs] });
-    } catch {
-      // another part of the page shows that the server does not answer
-    }
-    plan();
-    if (!isOver && before.some((id) => !running().includes(id))) onDone();
-  }
-
-  const stop = app.state.on("jobs", () => timer || plan());
-  void look();
-  return () => {
-    isOver = true;
-    plan();
-    stop();
-  };
 }

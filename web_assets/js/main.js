@@ -1,7 +1,7 @@
 /**
  * The page: creates the `app` object, which every mode gets, and mounts the mode given by the URL.
  *
- * A mode is a module with `mount(root, app)`, which returns a `Mounted`. A mode asks `app.mayLeave` before it
+ * A mode is a module with `mount(root, app, until)`, which may return a `Mounted`. A mode asks `app.mayLeave` before it
  * shows another frame.
  */
 
@@ -11,8 +11,10 @@ import { button, elementById, h } from "./dom.js";
 import { createEffort } from "./effort.js";
 import { ApiError, isAborted, messageOf } from "./errors.js";
 import { createEvents } from "./events.js";
+import { errorBox } from "./forms.js";
 import { createFrameState, createState } from "./frame_state.js";
 import { mountGuide } from "./guide.js";
+import { readJobs } from "./jobs.js";
 import { createKeys } from "./keys.js";
 import { showHints, toast } from "./messages.js";
 import { makeHash, parseHash } from "./router.js";
@@ -37,6 +39,8 @@ const work = elementById("work");
 const app = createApp();
 /** @type {Mounted | null} */
 let mounted = null;
+/** Ends what the mounted mode listens to. */
+let ending = new AbortController();
 let visit = 0;
 /** What the address names could not be opened. */
 let isBroken = false;
@@ -89,18 +93,19 @@ function createApp() {
 async function refreshProject() {
   const name = app.state.route.project;
   if (name === null) return;
-  /** @type {Api.ProjectInfo} */
   const project = await app.api.get(projectPath(name));
   if (app.state.route.project === name) app.state.set({ project });
 }
 
-/** Loads and opens a frame. A newer call cancels older ones. */
-async function loadFrame(/** @type {number} */ id) {
+/**
+ * Loads and opens a frame, or that of its moment in which a camera sees a label best. A newer call cancels older ones.
+ */
+async function loadFrame(/** @type {number} */ id, /** @type {string | null} */ bestFor = null) {
   frameRequest?.abort();
   frameRequest = new AbortController();
   try {
-    const frame = await app.frames.open(id, { signal: frameRequest.signal });
-    app.events.openFrame(id);
+    const frame = await app.frames.open(id, bestFor, { signal: frameRequest.signal });
+    app.events.openFrame(frame.frame.id);
     return frame;
   } catch (error) {
     if (!isAborted(error)) {
@@ -131,7 +136,6 @@ async function travel(/** @type {"undo" | "redo"} */ direction, /** @type {boole
   try {
     if (!(await mayLeave())) return;
     app.effort.action();
-    /** @type {Api.StepOut} */
     const { frame, state, done } = await app.api.change(app.path(direction), { skip });
     toast(`${direction === "undo" ? "Undone" : "Redone"}: ${done}`);
     if (frame === null || state === null) await refreshProject();
@@ -159,7 +163,7 @@ async function readjust(/** @type {Messages["adjusted"]} */ { recording, operato
 function takeClasses(/** @type {Messages["classes"]} */ { operator }) {
   app.frames.miss();
   if (operator !== app.state.operator) toast(`${operator} has changed the project's classes or settings.`);
-  refreshProject().catch(toast);
+  void refreshProject();
 }
 
 /** Shows the same under the project's new name. What is not saved yet is saved there. */
@@ -193,16 +197,11 @@ async function reread(/** @type {Messages["recordings"]} */ { recording, operato
 /** Opens the frame anew if its recording was adjusted while there was no connection. Classes may have changed, too. */
 async function catchUp() {
   const { route, frame } = app.state;
-  try {
-    await refreshProject();
-    if (route.mode !== "annotate" || frame === null) return;
-    /** @type {FrameState} */
-    const now = await app.api.get(app.path("frames", frame.frame.id));
-    const isShown = app.state.route.project === route.project && app.state.frame?.frame.id === frame.frame.id;
-    if (isShown && now.image.url !== frame.image.url) await follow(true);
-  } catch (error) {
-    toast(error);
-  }
+  await refreshProject();
+  if (route.mode !== "annotate" || frame === null) return;
+  const now = await app.api.get(app.path("frames", frame.frame.id));
+  const isShown = app.state.route.project === route.project && app.state.frame?.frame.id === frame.frame.id;
+  if (isShown && now.image.url !== frame.image.url) await follow(true);
 }
 
 /**
@@ -236,7 +235,11 @@ async function follow(isAnew = false) {
   try {
     await app.events.follow(route.project);
     if (ownVisit !== visit) return;
-    if (route.project !== null && app.state.project === null) await refreshProject();
+    // the connection may be new
+    if (app.state.project === null) {
+      showJobs();
+      await refreshProject();
+    }
     /** @type {Mode} */
     const module = await loadMode(route.mode);
     if (ownVisit !== visit) return;
@@ -245,7 +248,8 @@ async function follow(isAnew = false) {
     // time spent in other modes does not count for the next box
     app.effort.reset();
     document.title = route.project ? `${route.project} · ${route.mode} · annotator` : "annotator";
-    mounted = module.mount(work, /** @type {ModeApp} */ (app));
+    ending = new AbortController();
+    mounted = module.mount(work, /** @type {ModeApp} */ (app), ending.signal) ?? {};
   } catch (error) {
     if (ownVisit === visit) showProblem(error, route);
   }
@@ -266,7 +270,8 @@ function leave() {
   const old = mounted;
   mounted = null;
   app.keys.setMode(null);
-  old?.unmount();
+  ending.abort();
+  old?.unmount?.();
   app.viewport?.detach();
   app.state.set({ track: null });
   work.className = "work";
@@ -277,19 +282,20 @@ function leave() {
 function showProblem(/** @type {unknown} */ error, /** @type {Route} */ route) {
   if (!(error instanceof ApiError)) console.error(error);
   isBroken = true;
-  const retry = button("Try again", () => follow(), { class: "primary" });
-  const back = h("a", { class: "button", href: "#/" }, "All projects");
   const isMissing = error instanceof ApiError && error.status === 404;
   // the server refuses a connection for a project that does not exist, which is no lost connection
   if (isMissing) void app.events.follow(null);
   const title = isMissing ? `There is no project '${route.project}'` : "This page could not be opened";
   work.replaceChildren(
     h(
-      "div",
-      { class: "page" },
-      h("h1", {}, title),
-      h("p", { class: "error-box", role: "alert", "data-testid": "page-problem" }, messageOf(error)),
-      h("div", { class: "row" }, retry, back),
+      "div.page",
+      h("h1", title),
+      errorBox(error, "page-problem"),
+      h(
+        "div.row",
+        button("Try again", () => follow(), { class: "primary" }),
+        h("a.button", { href: "#/" }, "All projects"),
+      ),
     ),
   );
 }
@@ -302,15 +308,9 @@ function releaseMouseFocus(/** @type {MouseEvent} */ event) {
   event.target.closest("button")?.blur();
 }
 
-/** Loads the jobs. An error is not shown: the page works without the list, and events add the jobs later. */
-async function loadJobs() {
-  try {
-    /** @type {Api.Job[]} */
-    const jobs = await app.api.get("/api/jobs");
-    app.state.set({ jobs });
-  } catch (error) {
-    console.debug(`jobs: ${messageOf(error)}`);
-  }
+/** Reads the jobs. An error is not shown: the page works without the list, and events add the jobs later. */
+function showJobs() {
+  readJobs(app).catch((error) => console.debug(`jobs: ${messageOf(error)}`));
 }
 
 async function start() {
@@ -334,8 +334,11 @@ async function start() {
     void mounted?.flush?.();
     if (mounted?.unsaved?.()) event.preventDefault();
   });
-  window.addEventListener("unhandledrejection", ({ reason }) => {
+  // no part of the page need catch an error only to show it; those of the page itself are in the console, too
+  window.addEventListener("unhandledrejection", (event) => {
+    const { reason } = event;
     toast(reason instanceof Error ? reason : new Error(String(reason)));
+    if (reason instanceof ApiError || isAborted(reason)) event.preventDefault();
   });
   // registered before all other listeners, so that events are recorded before the modes handle them
   app.events.on("frame", app.frames.hear);
@@ -355,14 +358,16 @@ async function start() {
   app.events.on("replaced", () =>
     toast("This project was replaced on the server. Reload the page: what it shows is no longer stored.", "error"),
   );
-  app.events.on("reconnected", () => void (isBroken ? follow() : catchUp()));
+  app.events.on("reconnected", () => {
+    showJobs();
+    void (isBroken ? follow() : catchUp());
+  });
   app.events.on("connection", (connected) => app.state.set({ connected }));
   readTimeline(app);
   mountTopbar(topbar, app);
   mountTimeline(elementById("timeline"), app);
   mountGuide(app);
   try {
-    /** @type {Api.Session} */
     const session = await app.api.get("/api/session");
     app.state.set({ operator: session.operator, version: session.version });
     if (!session.operator) await signIn(app);
@@ -371,7 +376,6 @@ async function start() {
     return;
   }
   app.viewport = createViewport(app);
-  void loadJobs();
   window.addEventListener("hashchange", () => follow());
   // the operator may have created the project, or started the server, in another window
   window.addEventListener("focus", () => {

@@ -89,6 +89,12 @@ function sceneAxes(up) {
   return fromColumns(x, cross(z, x), z);
 }
 
+/** The yaw of a direction, radians: about the scene's up, 0 if it points away from the camera. */
+export function yawOf(/** @type {Vector} */ direction, /** @type {Vector | null} */ up) {
+  const [ahead, left] = transpose(sceneAxes(up)).map((axis) => dot(axis, direction));
+  return Math.atan2(left, ahead);
+}
+
 /**
  * Yaw, pitch and roll of a rotation, radians: R = scene . Rz(yaw) . Ry(pitch) . Rx(roll). Yaw turns about the scene's
  * up and is 0 where the x axis points away from the camera; a positive pitch lowers the x axis; roll turns about x.

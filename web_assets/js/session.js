@@ -2,6 +2,7 @@
 
 import { openDialog } from "./dialogs.js";
 import { h } from "./dom.js";
+import { field } from "./forms.js";
 
 /** @type {Promise<void> | null} */
 let asking = null;
@@ -15,7 +16,7 @@ export function signIn(/** @type {App} */ app) {
 }
 
 async function ask(/** @type {App} */ app) {
-  const field = h("input", {
+  const name = h("input", {
     name: "operator",
     required: true,
     maxlength: 60,
@@ -27,19 +28,15 @@ async function ask(/** @type {App} */ app) {
   const session = await openDialog({
     title: "Sign in",
     content: [
-      h(
-        "p",
-        {},
-        "Your name is kept with each box that you draw or accept, so that several people can share a project.",
-      ),
-      h("label", { class: "field" }, h("span", {}, "Your name"), field),
+      h("p", "Your name is kept with each box that you draw or accept, so that several people can share a project."),
+      field("Your name", name),
     ],
     actions: [{ label: "Start", value: "start" }],
     required: true,
     testid: "sign-in",
     /** @returns {Promise<Api.Session>} */
     async submit() {
-      const operator = field.value.trim();
+      const operator = name.value.trim();
       if (!operator) throw new Error("Please enter a name.");
       return app.api.post("/api/session", { operator });
     },

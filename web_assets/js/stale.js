@@ -2,10 +2,10 @@
  * Two versions of a frame: the saved version of others, and the operator's own. The operator chooses one.
  */
 
+import { STATE_COLORS } from "./colors.js";
 import { openDialog } from "./dialogs.js";
-import { count, h, s } from "./dom.js";
+import { bullets, count, h, s } from "./dom.js";
 
-const STATE_COLOR = { proposed: "#f0ad4e", accepted: "#5fca85", edited: "#6aaef5", rejected: "#7c8494" };
 const MINE = "#ff5d8f";
 
 /**
@@ -26,32 +26,11 @@ export function askVersion({ theirs, mine }) {
     wide: true,
     required: true,
     content: [
+      h("p", "Your last change was made on an older version and is not saved yet. Choose between the two versions."),
       h(
-        "p",
-        {},
-        "Your last change was made on an older version and is not saved yet. Choose between the two versions.",
-      ),
-      h(
-        "div",
-        { class: "versions" },
-        h(
-          "figure",
-          {},
-          h("figcaption", {}, h("strong", {}, "Saved version")),
-          picture(theirs, null),
-          h("p", { class: "help" }, counts),
-        ),
-        h(
-          "figure",
-          {},
-          h("figcaption", {}, h("strong", {}, "Your version")),
-          picture(theirs, mine),
-          h(
-            "ul",
-            { class: "help" },
-            mine.text.map((line) => h("li", {}, line)),
-          ),
-        ),
+        "div.versions",
+        version("Saved version", picture(theirs, null), h("p.help", counts)),
+        version("Your version", picture(theirs, mine), bullets(mine.text, { class: "help" })),
       ),
     ],
     actions: [
@@ -61,40 +40,39 @@ export function askVersion({ theirs, mine }) {
   });
 }
 
+const version = (/** @type {string} */ title, /** @type {Node[]} */ ...content) =>
+  h("figure", h("figcaption", h("strong", title)), content);
+
 /** A small image of a frame with its boxes; `mine`, if given, is drawn over it. */
 function picture(/** @type {FrameState} */ state, /** @type {Mine | null} */ mine) {
   const { url, width, height } = state.image;
   const unit = width / 400;
-  const svg = s(
-    "svg",
+  const lines = (/** @type {Line[]} */ outline, /** @type {string} */ stroke, /** @type {number} */ thick) => {
+    const d = (outline ?? []).map(([a, b]) => `M${a.join(" ")}L${b.join(" ")}`).join("");
+    return s("path", { d, fill: "none", stroke, "stroke-width": thick * unit });
+  };
+  return s(
+    "svg.picture",
     {
-      class: "picture",
       viewBox: `-0.5 -0.5 ${width} ${height}`,
       role: "img",
       "aria-label": mine ? "Your version" : "The saved version",
     },
     s("image", { href: url, x: -0.5, y: -0.5, width, height }),
+    (state.image_boxes?.boxes ?? []).map((box) => lines(sides(box), "#ffffff", 1)),
+    state.labels.map((label) => lines(label.outline, STATE_COLORS[label.state], 1)),
+    (mine?.boxes ?? []).map((box) => lines(sides(box), MINE, 2)),
+    (mine?.outlines ?? []).map((outline) => lines(outline, MINE, 2)),
   );
-  for (const box of state.image_boxes?.boxes ?? []) svg.append(rect(box, "#ffffff", unit));
-  for (const label of state.labels) svg.append(lines(label.outline, STATE_COLOR[label.state], unit));
-  for (const box of mine?.boxes ?? []) svg.append(rect(box, MINE, 2 * unit));
-  for (const outline of mine?.outlines ?? []) svg.append(lines(outline, MINE, 2 * unit));
-  return svg;
 }
 
-function rect(/** @type {Rect} */ box, /** @type {string} */ stroke, /** @type {number} */ width) {
-  return s("rect", {
-    x: box.x_min,
-    y: box.y_min,
-    width: box.x_max - box.x_min,
-    height: box.y_max - box.y_min,
-    fill: "none",
-    stroke,
-    "stroke-width": width,
-  });
-}
-
-function lines(/** @type {Line[]} */ outline, /** @type {string} */ stroke, /** @type {number} */ width) {
-  const d = (outline ?? []).map(([a, b]) => `M${a.join(" ")}L${b.join(" ")}`).join("");
-  return s("path", { d, fill: "none", stroke, "stroke-width": width });
+/** @returns {Line[]} */
+function sides(/** @type {Rect} */ { x_min, y_min, x_max, y_max }) {
+  const corners = [
+    [x_min, y_min],
+    [x_max, y_min],
+    [x_max, y_max],
+    [x_min, y_max],
+  ];
+  return corners.map((corner, i) => [corner, corners[(i + 1) % 4]]);
 }

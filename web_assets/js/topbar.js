@@ -4,8 +4,8 @@
  */
 
 import { confirm, keyTableDialog } from "./dialogs.js";
-import { h, iconButton, patch } from "./dom.js";
-import { NAMES, waiting } from "./jobs.js";
+import { button, h, iconButton, patch } from "./dom.js";
+import { isActive, NAMES, OF_START, showProgress, waiting } from "./jobs.js";
 import { makeHash } from "./router.js";
 import { signOut } from "./session.js";
 import { createWhere, WITH_FRAME } from "./where.js";
@@ -20,32 +20,20 @@ const TABS = [
 ];
 
 export function mountTopbar(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
-  const parts = [
-    brand(),
-    tabs(app),
-    createWhere(app),
-    h("span", { class: "grow" }),
-    connection(app),
-    jobs(app),
-    history(app),
-    tools(app),
-  ];
-  root.replaceChildren(...parts);
-}
-
-function brand() {
-  return h(
-    "a",
-    { class: "brand", href: "#/", title: "All projects", "data-testid": "home" },
-    h("img", { src: "/assets/icon.svg", alt: "" }),
-    "annotator",
-  );
+  const logo = h("img", { src: "/assets/icon.svg", alt: "" });
+  const brand = h("a.brand", { href: "#/", title: "All projects", "data-testid": "home" }, logo, "annotator");
+  const offline = h("span.offline", { role: "status" });
+  app.state.on("connected", (connected) => {
+    offline.textContent = connected ? "" : "no connection, trying again …";
+  });
+  const where = createWhere(app);
+  root.replaceChildren(brand, tabs(app), where, h("span.grow"), offline, jobs(app), history(app), tools(app));
 }
 
 function tabs(/** @type {App} */ app) {
-  const project = h("span", { class: "project ellipsis" });
+  const project = h("span.project.ellipsis");
   const nav = h("nav", { "aria-label": "Modes" });
-  const box = h("div", { class: "row where" }, h("span", { class: "divider" }), project, nav);
+  const box = h("div.row.where", h("span.divider"), project, nav);
   const show = () => {
     const { mode: current, project: name } = app.state.route;
     box.hidden = name === null;
@@ -53,17 +41,11 @@ function tabs(/** @type {App} */ app) {
     project.textContent = name;
     project.title = name;
     const frame = app.state.frame?.frame.id ?? null;
-    patch(
-      nav,
-      TABS.map(([mode, label]) => {
-        const href = makeHash(name, mode, WITH_FRAME.has(mode) ? frame : null);
-        return h(
-          "a",
-          { href, "aria-current": mode === current ? "page" : null, "data-testid": `mode-${mode}` },
-          label,
-        );
-      }),
-    );
+    const links = TABS.map(([mode, label]) => {
+      const href = makeHash(name, mode, WITH_FRAME.has(mode) ? frame : null);
+      return h("a", { href, "aria-current": mode === current ? "page" : null, "data-testid": `mode-${mode}` }, label);
+    });
+    patch(nav, links);
   };
   app.state.on("route", show);
   app.state.on("frame", show);
@@ -72,16 +54,19 @@ function tabs(/** @type {App} */ app) {
 }
 
 function history(/** @type {App} */ app) {
-  const undo = iconButton("undo", "Undo (Ctrl+Z)", () => app.undo(), { "data-testid": "undo" });
-  const redo = iconButton("redo", "Redo (Ctrl+Shift+Z)", () => app.redo(), { "data-testid": "redo" });
-  const box = h("div", { class: "row", role: "group", "aria-label": "History" }, undo, redo);
+  const undo = iconButton("undo", "", () => app.undo(), { "data-testid": "undo" });
+  const redo = iconButton("redo", "", () => app.redo(), { "data-testid": "redo" });
+  const box = h("div.row", { role: "group", "aria-label": "History" }, undo, redo);
   const show = () => {
     box.hidden = app.state.route.project === null;
     const known = app.state.frame?.history;
-    describe(undo, "Undo", "Ctrl+Z", known?.undo);
-    describe(redo, "Redo", "Ctrl+Shift+Z", known?.redo);
-    undo.disabled = known !== undefined && !known.undo;
-    redo.disabled = known !== undefined && !known.redo;
+    for (const [step, verb, key, what] of /** @type {const} */ ([
+      [undo, "Undo", "Ctrl+Z", known?.undo],
+      [redo, "Redo", "Ctrl+Shift+Z", known?.redo],
+    ])) {
+      entitle(step, `${verb}${what ? `: ${what}` : ""} (${key})`);
+      step.disabled = known !== undefined && !what;
+    }
   };
   app.state.on("route", show);
   app.state.on("frame", show);
@@ -89,41 +74,30 @@ function history(/** @type {App} */ app) {
   return box;
 }
 
-function describe(
-  /** @type {HTMLElement} */ button,
-  /** @type {string} */ verb,
-  /** @type {string} */ key,
-  /** @type {string | null | undefined} */ what,
-) {
-  const text = what ? `${verb}: ${what} (${key})` : `${verb} (${key})`;
-  button.title = text;
-  button.setAttribute("aria-label", text);
-}
-
-function connection(/** @type {App} */ app) {
-  const note = h("span", { class: "offline", role: "status" });
-  app.state.on("connected", (connected) => (note.textContent = connected ? "" : "no connection, trying again …"));
-  return note;
+/** Gives an icon another tooltip and accessible name. */
+function entitle(/** @type {HTMLElement} */ icon, /** @type {string} */ text) {
+  icon.title = text;
+  icon.setAttribute("aria-label", text);
 }
 
 /** The running job, or the first one that waits. */
 function jobs(/** @type {App} */ app) {
   const bar = h("progress", { max: 1, "aria-label": "Progress" });
-  const text = h("span", {});
-  const link = h("a", { class: "jobs", "data-testid": "job-indicator" }, text, bar);
+  const text = h("span");
+  const link = h("a.jobs", { "data-testid": "job-indicator" }, text, bar);
   const show = () => {
-    const running =
-      app.state.jobs.find(({ state }) => state === "running") ??
-      app.state.jobs.find(({ state }) => state === "queued");
-    link.hidden = !running;
-    if (!running) return;
-    const mode = running.kind === "export" ? "export" : "train";
-    link.href = ["import", "copy", "sample"].includes(running.kind) ? "#/" : makeHash(running.project, mode);
-    const isQueued = running.state === "queued";
-    link.title = `${NAMES[running.kind]} in ${running.project}: ${isQueued ? waiting(running, app.state.jobs) : running.stage}`;
-    text.textContent = isQueued ? `${NAMES[running.kind]} waits` : NAMES[running.kind];
-    if (running.total > 0) bar.value = running.done / running.total;
-    else bar.removeAttribute("value");
+    const { jobs: all } = app.state;
+    const job = all.find(({ state }) => state === "running") ?? all.find(isActive);
+    link.hidden = !job;
+    if (!job) return;
+    const { kind, project, state, stage } = job;
+    const isQueued = state === "queued";
+    // importing boxes from a file is begun on the page of training, too
+    const isOfStart = kind !== "boxes" && OF_START.includes(kind);
+    link.href = isOfStart ? "#/" : makeHash(project, kind === "export" ? "export" : "train");
+    link.title = `${NAMES[kind]} in ${project}: ${isQueued ? waiting(job, all) : stage}`;
+    text.textContent = isQueued ? `${NAMES[kind]} waits` : NAMES[kind];
+    showProgress(bar, job);
   };
   app.state.on("jobs", show);
   show();
@@ -131,31 +105,21 @@ function jobs(/** @type {App} */ app) {
 }
 
 function tools(/** @type {App} */ app) {
-  const theme = iconButton("theme", "", () => showTheme(switchTheme()), { "data-testid": "theme" });
-  const showTheme = (/** @type {string} */ name) => {
-    theme.title = `Theme: ${name}`;
-    theme.setAttribute("aria-label", theme.title);
-  };
-  showTheme(currentTheme());
+  const theme = iconButton("theme", "", () => entitle(theme, `Theme: ${switchTheme()}`), { "data-testid": "theme" });
+  entitle(theme, `Theme: ${currentTheme()}`);
   const help = iconButton("help", "Keys (?)", () => keyTableDialog(app.keys), { "data-testid": "help" });
-  const operator = h("button", {
-    type: "button",
-    class: "quiet",
-    title: "Sign out",
-    "data-testid": "operator",
-    onclick: () => leave(app),
-  });
+  const operator = button("", leave, { class: "quiet", title: "Sign out", hidden: true, "data-testid": "operator" });
   app.state.on("operator", (name) => {
     operator.textContent = name ?? "";
     operator.hidden = !name;
   });
-  operator.hidden = true;
-  return h("div", { class: "row" }, theme, help, operator);
-}
 
-async function leave(/** @type {App} */ app) {
-  if (await confirm("Sign out", `You are signed in as ${app.state.operator}. Everything is saved.`, "Sign out"))
-    await signOut(app);
+  async function leave() {
+    const text = `You are signed in as ${app.state.operator}. Everything is saved.`;
+    if (await confirm("Sign out", text, "Sign out")) await signOut(app);
+  }
+
+  return h("div.row", theme, help, operator);
 }
 
 // -- dark, light, or the system's choice; kept in this browser

@@ -6,9 +6,11 @@
  * table and never to viser, whose W A S D Q E and arrow keys would move the camera.
  */
 
+import { onTheme, themeNow } from "./colors.js";
 import { h } from "./dom.js";
 import { ApiError } from "./errors.js";
 import { createPace } from "./pace.js";
+
 import { createViewportBar } from "./viewport_bar.js";
 
 /** @typedef {{ project: string, scene: Scene3D }} Wanted */
@@ -23,6 +25,13 @@ const DOUBLE_MS = 1000;
  * number until frames are measured; and the resolution, relative to the screen's (a setting of viser's page).
  */
 const SOFTWARE = { points: 60_000, moving: 60_000, pixels: 0.8 };
+/** Variables of viser's shader for points, and their values for squares of one colour: as constants, they cost nothing. */
+const PLAIN_SQUARES = [
+  ["float point_ball_norm", "1e6"],
+  ["mediump float point_shading_enabled", "0.0"],
+];
+/** Fewer points are no cloud. */
+const FEW = 10;
 const NO_WEBGL =
   "This browser cannot draw in 3D (no WebGL 2). The image and the views work without it. " +
   "For the 3D view, turn on hardware acceleration or use another browser.";
@@ -74,6 +83,7 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   window.addEventListener("resize", follow);
   window.addEventListener("scroll", follow, { capture: true, passive: true });
   window.addEventListener("pagehide", leave);
+  onTheme(() => look(null));
   const graphics = lookAtGraphics();
   const pace = createPace(graphics === "software" ? SOFTWARE.moving : Infinity);
   if (graphics === "none") say("unsupported", NO_WEBGL);
@@ -158,7 +168,6 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     if (bench !== null && bench.project !== project) leave();
     if (bench === null) {
       say("opening", "Opening the 3D view …");
-      /** @type {Api.OpenedViewport} */
       const opened = await app.api.post("/api/workbench", { project });
       bench = { project, ...opened };
       return;
@@ -174,6 +183,7 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     const answer = await app.api.put(`/api/workbench/${bench.id}/scene`, {
       ...detail,
       ...bar.settings,
+      theme: themeNow(),
       colors,
       ...scene,
     });
@@ -237,14 +247,19 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     view.addEventListener("keypress", keep, { capture: true });
   }
 
-  /** Draws no more points than the pace allows. Without a graphics card, antialiasing would double a frame's time. */
+  /**
+   * Draws no more points than the pace allows, and each of them with as little work as possible: without a graphics
+   * card, antialiasing would double a frame's time, and the shader's shapes and shading, which are not used, add a third.
+   */
   function paceDrawing(/** @type {Window & typeof globalThis} */ view) {
     const [gl, canvas] = [view.WebGL2RenderingContext.prototype, view.HTMLCanvasElement.prototype];
-    const { drawArrays } = gl;
+    const { drawArrays, shaderSource } = gl;
     gl.drawArrays = function (mode, first, count) {
-      const shown = mode === this.POINTS ? pace.draw(count, performance.now()) : count;
-      drawArrays.call(this, mode, first, shown);
+      const isCloud = mode === this.POINTS && count > FEW;
+      drawArrays.call(this, mode, first, isCloud ? pace.draw(count, performance.now()) : count);
     };
+    // viser applies messages while it draws, after which the old scene is drawn once more; in a hidden tab, at once
+    Object.defineProperty(view.document, "hidden", { get: () => true });
     const moved = () => pace.moved(performance.now());
     view.addEventListener("pointermove", ({ buttons }) => buttons > 0 && moved(), { capture: true });
     view.addEventListener("wheel", moved, { capture: true, passive: true });
@@ -253,6 +268,13 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
       look("focus");
     });
     if (graphics !== "software") return;
+    gl.shaderSource = function (shader, source) {
+      const plain = PLAIN_SQUARES.reduce(
+        (text, [name, value]) => text.replace(`uniform ${name};`, `const ${name} = ${value};`),
+        source,
+      );
+      shaderSource.call(this, shader, plain);
+    };
     const getContext = /** @type {(kind: string, settings?: object) => RenderingContext | null} */ (canvas.getContext);
     Object.assign(canvas, {
       /** @this {HTMLCanvasElement} */

@@ -4,6 +4,7 @@
  */
 
 import { button, count, glyph, h, iconButton, patch } from "./dom.js";
+import { onEnter } from "./forms.js";
 import { makeHash } from "./router.js";
 import { placeNow } from "./timeline/reading.js";
 
@@ -28,21 +29,20 @@ export function createWhere(/** @type {App} */ app) {
   let asked = null;
   const recordings = createChooser(app, { name: "recordings", text: "Recordings", read: readRecordings });
   const cameras = createChooser(app, { name: "cameras", text: "Cameras of this moment", read: readCameras });
-  const name = h("span", { class: "ellipsis", "data-testid": "recording-name" });
-  const camera = h("span", { class: "ellipsis", "data-testid": "camera-name" });
-  const nth = h("span", { class: "muted number" });
+  const name = h("span.ellipsis", { "data-testid": "recording-name" });
+  const camera = h("span.ellipsis", { "data-testid": "camera-name" });
+  const nth = h("span.muted.number");
   recordings.button.append(name, glyph("down"));
-  cameras.button.append(camera, nth, h("kbd", {}, "K"));
+  cameras.button.append(camera, nth, h("kbd", "K"));
   const position = button([], () => askFrame(), {
     class: "quiet number position",
     title: "Go to a frame (Ctrl+G)",
     "data-testid": "frame-position",
   });
-  const field = h("input", {
+  const field = h("input.number.position", {
     type: "number",
     min: 1,
     step: 1,
-    class: "number position",
     hidden: true,
     "aria-label": "Go to frame",
     "data-testid": "frame-field",
@@ -65,16 +65,12 @@ export function createWhere(/** @type {App} */ app) {
   };
   const previous = iconButton("previous", "Previous frame in time", step("previous"));
   const next = iconButton("next", "Next frame in time", step("next"));
-  const others = h("span", { class: "presence ellipsis", "data-testid": "presence" });
-  const lock = h(
-    "span",
-    { title: "Finalised: automatic passes do not change this frame", class: "muted" },
-    glyph("lock"),
-  );
+  const others = h("span.presence.ellipsis", { "data-testid": "presence" });
+  const finalised = "Finalised: automatic passes do not change this frame";
+  const lock = h("span.muted", { title: finalised }, glyph("lock"));
   const root = h(
-    "div",
-    { class: "where" },
-    h("span", { class: "divider" }),
+    "div.where",
+    h("span.divider"),
     recordings.button,
     previous,
     position,
@@ -129,7 +125,6 @@ export function createWhere(/** @type {App} */ app) {
 
   /** A row for each rig, whose cameras are in the other list: that of the camera that is open, if it has the same. */
   async function readRecordings() {
-    /** @type {Api.ListedRecording[]} */
     const all = await app.api.get(app.path("recordings"));
     const kept = all.filter(({ removed_by }) => removed_by === null);
     const now = state.frame?.frame;
@@ -184,7 +179,6 @@ export function createWhere(/** @type {App} */ app) {
   state.on("timeline", goAsked);
   app.keys.register({
     "go-to-frame": askFrame,
-    "next-camera": () => stepCamera(1),
     "previous-camera": () => stepCamera(-1),
   });
   show();
@@ -209,20 +203,14 @@ function createChooser(app, { name, text, read }) {
     "aria-label": `Search ${text.toLowerCase()}`,
     autofocus: true,
     oninput: () => fill(),
-    onkeydown: (event) => {
-      if (event.key !== "Enter") return;
-      // the button that gets the focus back is not pressed
-      event.preventDefault();
-      rows.querySelector("button")?.click();
-    },
+    // the button that gets the focus back is not pressed
+    onkeydown: onEnter(() => rows.querySelector("button")?.click()),
   });
-  const list = h("div", { class: "chooser-list", popover: "auto", role: "dialog", "aria-label": text }, search, rows);
-  const opener = h("button", {
-    type: "button",
+  const list = h("div.chooser-list", { popover: "auto", role: "dialog", "aria-label": text }, search, rows);
+  const opener = button([], () => list.togglePopover(), {
     class: "quiet chooser",
     "aria-haspopup": "dialog",
     "data-testid": `choose-${name}`,
-    onclick: () => list.togglePopover(),
   });
   /** @type {Choice[]} */
   let choices = [];
@@ -233,13 +221,9 @@ function createChooser(app, { name, text, read }) {
   async function open() {
     list.style.left = `${opener.getBoundingClientRect().left}px`;
     search.value = "";
-    try {
-      choices = await read();
-      fill();
-      rows.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
-    } catch (error) {
-      app.toast(error);
-    }
+    choices = await read();
+    fill();
+    rows.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
   }
 
   function fill() {
@@ -249,23 +233,19 @@ function createChooser(app, { name, text, read }) {
 
   function row(/** @type {Choice} */ { name, frame, isCurrent, note, done = null }) {
     const { project, mode } = app.state.route;
-    const picture = frame === null ? "" : `${app.path("frames", frame)}/image.jpg?width=96`;
-    return h(
-      "li",
-      { "data-key": name },
-      button(
-        [
-          picture ? h("img", { src: picture, alt: "", loading: "lazy" }) : h("span", { class: "no-picture" }),
-          h("span", { class: "title" }, name),
-          h("span", { class: "note muted" }, note, done === null ? null : h("progress", { max: 1, value: done })),
-        ],
-        () => {
-          list.hidePopover();
-          if (frame !== null && project !== null) app.go(makeHash(project, mode, frame));
-        },
-        { class: "quiet", "aria-current": isCurrent ? "true" : null, disabled: frame === null },
-      ),
-    );
+    const isThere = frame !== null && project !== null;
+    const src = isThere && `${app.path("frames", frame)}/image.jpg?width=96`;
+    const content = [
+      src ? h("img", { src, alt: "", loading: "lazy" }) : h("span.no-picture"),
+      h("span.title", name),
+      h("span.note.muted", note, done === null ? null : h("progress", { max: 1, value: done })),
+    ];
+    const go = () => {
+      list.hidePopover();
+      if (isThere) app.go(makeHash(project, mode, frame));
+    };
+    const more = { class: "quiet", "aria-current": isCurrent ? "true" : null, disabled: !isThere };
+    return h("li", { "data-key": name }, button(content, go, more));
   }
 
   return { button: opener, list };

@@ -146,7 +146,9 @@ def insert_event(connection: Connection, event: Event) -> Event:
         event.effort.actions if event.effort else None,
         event.effort.seconds if event.effort else None,
     )
-    return replace(event, id=connection.exec_driver_sql(_INSERT, values).lastrowid)
+    id = driver_of(connection).execute(_INSERT, values).lastrowid
+    assert id is not None  # a row was inserted
+    return replace(event, id=id)
 
 
 def rows_json(rows: Sequence[RowChange]) -> str:

@@ -10,6 +10,7 @@ them is back. Another one is reverted as a whole, with the hidden boxes of remov
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -30,7 +31,6 @@ from annotator.project.audit.events import (
     event_of,
     hide_removed,
     in_moment_of,
-    read_events,
     read_row,
     rows_of,
     without_rows,
@@ -40,6 +40,7 @@ from annotator.project.classes.attributes import Attribute, AttributeOf, fitting
 from annotator.project.classes.changing import BATCH, FOLLOWED, require_consistent, write_classes
 from annotator.project.classes.changing import KIND as CLASSES_CHANGED
 from annotator.project.database.schema import events, frames, recordings
+from annotator.project.database.store import driver_of
 from annotator.project.log import Writer, new_action, require_writable
 from annotator.project.recordings import removed_recordings
 from annotator.project.rows import Row, Terms, box_2d_of, said_with, stored_said, values_json, values_of
@@ -90,6 +91,8 @@ _OF_ACTION, _ACTIONS = (
         ),
     )
 )
+_IDS = func.json_each(bindparam("ids")).table_valued("value")
+_EVENTS = select(events).where(events.c.id.in_(select(_IDS.c.value))).order_by(events.c.id)
 _AUTHORS = select(events.c.author).where(events.c.action.is_not(None)).distinct()
 _LAST_OF_ACTION = select(func.max(events.c.id)).where(events.c.action == bindparam("action"))
 _NEWEST = select(func.coalesce(func.max(events.c.id), 0))
@@ -286,24 +289,26 @@ class History:
             HistoryError: somebody has changed a row since, or what it needs is gone; says what.
         """
         store, action, changed = self._writer.store, new_action(), list[int | None]()
+        terms, driver = Terms(connection), driver_of(connection)
         for frame_id, ids in reversed(parts.items()):
-            part = _Part(connection, ids, left_out)
+            part = _Part(connection, ids, left_out, terms)
             if not part.rows:
                 continue
             part.require_as_left()
             context = WriteContext(0, author, part.source, effort=None if changed else effort, undoes=step.action)
             if frame_id is None:
                 self._restore_classes(connection, part, context, action)
+                terms = Terms(connection)
             else:
-                revision = connection.execute(select(frames.c.revision).where(frames.c.id == frame_id)).scalar_one()
+                (revision,) = driver.execute("SELECT revision FROM frames WHERE id = ?", (frame_id,)).fetchone()
                 context = replace(context, revision=revision)
                 where = require_writable(connection, frame_id, context)
-                write = Write(store, connection, frame_id, where, context, action)
-                part.put_back(write, part.rows)
+                part.put_back(Write(store, connection, frame_id, where, context, action, terms), part.rows)
             changed.append(frame_id)
             for row in part.rows:
                 if row.table == "adjustments" and frame_id is not None:
                     make_stale(connection, int(row.key), frame_id)
+                    terms = Terms(connection)
         if removed_recordings(connection):  # labels of removed recordings may be there again
             hide_removed(connection)
         return changed[::-1]
@@ -349,13 +354,12 @@ class _Part:
         left_out: gets the names of the attributes of which values were left out.
     """
 
-    def __init__(self, connection: Connection, ids: Sequence[int], left_out: set[str]) -> None:
-        self.connection, self.left_out = connection, left_out
-        made = list(read_events(connection, select(events).where(events.c.id.in_(ids))))
+    def __init__(self, connection: Connection, ids: Sequence[int], left_out: set[str], terms: Terms) -> None:
+        self.connection, self.left_out, self._terms = connection, left_out, terms
+        made = [event_of(row) for row in connection.execute(_EVENTS, {"ids": json.dumps(ids)})]
         self.source = Source.AUTO if made[0].source is Source.AUTO else Source.MANUAL
         self.rows = as_one(row for event in made for row in event.rows)
         self._last = {(row.table, row.key): event for event in made for row in event.rows}
-        self._terms = Terms(connection)
 
     def put_back(self, write: Write, rows: Sequence[RowChange], kind: str = KIND) -> None:
         """Puts rows back, with one event."""
@@ -364,7 +368,8 @@ class _Part:
             write.put(row.table, row.key, self._target(row))
         write.event(kind, CLASSES if write.frame_id is None else None)
         write.finish()
-        if gone := sorted(self._classes(rows) - set(Terms(self.connection).classes)):
+        terms = Terms(self.connection) if write.frame_id is None else write.terms
+        if gone := sorted(self._classes(rows) - set(terms.classes)):
             raise HistoryError(f"the class {gone[0]!r} was removed")
 
     def _target(self, change: RowChange) -> Row | None:

@@ -27,7 +27,6 @@ from annotator.project.changes import (
 from annotator.project.classes.attributes import Attribute, AttributeOf, fitting
 from annotator.project.classes.values import Values, after_edit, checked, new_values, of_tracks
 from annotator.project.database.schema import columns_of
-from annotator.project.database.store import driver_of
 from annotator.project.records import OWN, BoxRecord, suggestion_json
 from annotator.project.rows import Row, said_json, still_of, values_json, values_of
 from annotator.types import Proposal, ReviewState, Source
@@ -147,7 +146,21 @@ def _found(write: Write, proposal: Proposal) -> Row:
 
 
 def _of_track(write: Write, track_id: int | None) -> Values:
-    return of_tracks(write.connection, write.terms, write.frame_id, [track_id]).get(track_id, {})
+    """The values of a track. An operation may write to 1,000 of its boxes, so they are read once in a transaction."""
+    if track_id is None:
+        return {}
+    known = write.terms.of_tracks
+    if (place := (write.rig_id, track_id)) not in known:
+        known[place] = of_tracks(write.connection, write.terms, write.frame_id, [track_id]).get(track_id, {})
+    return known[place]
+
+
+def _joins(write: Write, track_id: int | None, values: Values) -> None:
+    """A label has come to a track: what the track lacks, it now has from the label."""
+    if track_id is None or (of_track := write.terms.of_tracks.get((write.rig_id, track_id))) is None:
+        return
+    along = {each.name for each in write.terms.attributes if each.of is AttributeOf.TRACK}
+    of_track |= {name: value for name, value in values.items() if name in along and name not in of_track}
 
 
 def _create(write: Write, payload: NewLabel, run: int | None = None) -> None:
@@ -176,7 +189,9 @@ def _create(write: Write, payload: NewLabel, run: int | None = None) -> None:
         row |= {} if payload.proposal is None else _found(write, payload.proposal)
     else:
         given = checked(of_label, payload.attributes, payload.label)
-    row["attributes"] = values_json(new_values(of_label, _of_track(write, payload.track_id), given))
+    values = new_values(of_label, _of_track(write, payload.track_id), given)
+    _joins(write, payload.track_id, values)
+    row["attributes"] = values_json(values)
     write.put("labels", payload.uid, row)
     for said in payload.said:
         put_said(write, said, payload.uid)
@@ -240,6 +255,7 @@ def _change(write: Write, payload: LabelChanged, *, is_linked: bool = False) -> 
     if terms.attributes and (name != before or (is_other and not is_linked)):
         of_track = _of_track(write, payload.track_id) if is_other else {}
         values = after_edit(terms.attributes, values, before, name, of_track)
+        _joins(write, payload.track_id if is_other else None, values)
     if "attributes" in payload.model_fields_set:  # also without any: none may be what a person wants
         values = _with_values(values, payload.attributes, terms.attributes_of(name), name)
         is_own = write.context.source is Source.MANUAL and write.context.effort_target in (None, payload.uid)
@@ -261,13 +277,11 @@ def _make_still(write: Write, payload: StillMade) -> None:
     if row["track_id"] is None or is_there:
         why = "stands still already" if is_there else "has no track; give it one first"
         raise ProjectError(f"{write.where}: label {payload.uid} {why}")
-    of_frame = "SELECT rig_id FROM recordings JOIN frames ON recordings.id = recording_id WHERE frames.id = ?"
-    (rig_id,) = driver_of(write.connection).execute(of_frame, (write.frame_id,)).fetchone()
     box = write.terms.world_json(BoxRecord.of(write.terms.box(row["box"], write.frame_id)), write.frame_id)
     if row["state"] == ReviewState.PROPOSED.value:
         row = row | {"state": ReviewState.ACCEPTED.value, "source": write.context.source.value} | write.author
     _remove(write, payload.uid)
-    still = {"uid": payload.still, "rig_id": rig_id, "track_id": row["track_id"], "box": box}
+    still = {"uid": payload.still, "rig_id": write.rig_id, "track_id": row["track_id"], "box": box}
     write.put("stills", payload.still, {name: row[name] for name in STILL_COLUMNS} | still)
 
 

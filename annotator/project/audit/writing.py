@@ -121,6 +121,12 @@ class Write:
         found = driver_of(self.connection).execute(query, (self.frame_id,)).fetchone()
         return None if found is None else int(found[0])
 
+    @cached_property
+    def rig_id(self) -> int:
+        """The rig of the frame's recording."""
+        query = "SELECT rig_id FROM recordings JOIN frames ON recordings.id = recording_id WHERE frames.id = ?"
+        return int(driver_of(self.connection).execute(query, (self.frame_id,)).fetchone()[0])
+
     @property
     def author(self) -> Row:
         """The columns of who changes a row, and when."""

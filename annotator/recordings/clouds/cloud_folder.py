@@ -8,6 +8,8 @@ camera_intrinsic.json      optional alternative, as in an RGB-D folder; the clou
                            frame that "cloud_to_camera" (4 x 4, row by row) maps to it
 gravity.json               optional, beside camera_intrinsic.json
 timestamps.csv             optional: capture time of each frame (`frame_times`)
+poses.csv                  optional: poses of the clouds' frame (`poses`); poses.txt beside KITTI's calib.txt as in its
+                           odometry. Clouds in map coordinates have their place without them
 
 Without a calibration the clouds are assumed to come from a level LiDAR (x forward, y left, z up), with a virtual camera
 at its origin, looking forward; in map coordinates, it stands where the points are (`origin`). Without images, the image
@@ -16,7 +18,9 @@ is rendered from the points.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import ClassVar, Never
@@ -32,9 +36,18 @@ from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.clouds.virtual_camera import Origin, is_far, virtual_image, without_strays
 from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import ColorImage, read_color_image
-from annotator.recordings.kitti import UP, KittiCalibration, read_calibration, visible_cloud
+from annotator.recordings.kitti import (
+    ODOMETRY,
+    UP,
+    KittiCalibration,
+    odometry_poses,
+    read_calibration,
+    visible_cloud,
+)
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, require_size, sorted_keys, stems
 from annotator.recordings.look_around import Scan, Scanned
+from annotator.recordings.poses import FILE_NAME as POSES_CSV
+from annotator.recordings.poses import Poses, read_poses
 from annotator.recordings.recording import Place, ReaderOptions, option_flag
 from annotator.recordings.rgbd_folder import FILE_NAME, read_camera, read_up
 from annotator.recordings.scan_file import Scans
@@ -81,7 +94,8 @@ class CloudCamera:
 class CloudFolder(Scanned):
     """A `Recording` of a folder of point clouds, in time order; labels are in the clouds' own frame.
 
-    `times_ns` are the capture times in `timestamps.csv`; None without that file.
+    `times_ns` are the capture times in `timestamps.csv`; None without that file. `poses` are those of the clouds, or of
+    the calibration's camera (KITTI's odometry).
     """
 
     clouds: Path
@@ -90,6 +104,7 @@ class CloudFolder(Scanned):
     told: tuple[str, ...] = ()
     scans: Scans = field(default_factory=Scans)
     given_origin: Place | None = None
+    poses: Poses | None = None
     format: ClassVar[str] = "cloud_folder"
     is_sequence: ClassVar[bool] = True
 
@@ -109,7 +124,8 @@ class CloudFolder(Scanned):
         key = self.key(i)
         cloud_path, *images = self.files(i)
         if not images:
-            source, raw = self._seen(key)
+            source, read = self._source(key)
+            raw = read()
             problem = memory_problem(pixels=source.camera.width_px * source.camera.height_px)
             if problem:
                 raise FrameError(source.path, f"its camera's image is {problem}", "correct the calibration")
@@ -124,23 +140,40 @@ class CloudFolder(Scanned):
             remedy = f"check that {source.path} belongs to this cloud and maps its frame to the camera's"
             xyz_m = source.to_camera(raw).xyz_m
             cloud = visible_cloud(cloud_path, source.camera, xyz_m, raw, image.rgb, remedy)
-        world = source.T_camera_cloud.inv() if source.in_world else None
-        moment = {"timestamp_ns": None if self.times_ns is None else self.times_ns[i], "T_world_camera": world}
+        moment = {"timestamp_ns": self._time_ns(i), "T_world_camera": self._T_world_camera(i, source)}
         return image.frame(key, i, source.camera, cloud, up=source.up, T_camera_label=source.T_camera_cloud, **moment)
 
     def scan(self, i: int) -> Scan:
-        """Reads the whole cloud of frame `i`, ahead being where its camera looks."""
-        key = self.key(i)
-        source, raw = self._seen(key)
+        """Returns the whole cloud of frame `i`, ahead being where its camera looks."""
+        source, read = self._source(self.key(i))
+        T_world_camera = self._T_world_camera(i, source)
         return Scan(
-            raw,
+            read,
             level_pose(source.up).rotation * source.T_camera_cloud.rotation,
             source.T_camera_cloud.inv().translation if source.in_world else np.zeros(3),
             RigidTransform.identity(),
             source.up is not None,
-            None if self.times_ns is None else self.times_ns[i],
-            RigidTransform.identity() if source.in_world else None,
+            self._time_ns(i),
+            None if T_world_camera is None else T_world_camera * source.T_camera_cloud,
         )
+
+    @property
+    def pose_source(self) -> str | None:
+        return None if self.poses is None else self.poses.source
+
+    def pose(self, i: int) -> RigidTransform | None:
+        return self._T_world_camera(i, self._source(self.key(i))[0])
+
+    def _T_world_camera(self, i: int, source: CloudCamera) -> RigidTransform | None:
+        if source.in_world:
+            return source.T_camera_cloud.inv()
+        T = None if self.poses is None else self.poses.at(i, self._time_ns(i))
+        if T is None or self.poses is None:
+            return None
+        return T * source.T_camera_cloud.inv() if self.poses.source == POSES_CSV else T
+
+    def _time_ns(self, i: int) -> int | None:
+        return None if self.times_ns is None else self.times_ns[i]
 
     @property
     def origin(self) -> Place | None:
@@ -158,15 +191,18 @@ class CloudFolder(Scanned):
     def _raw(self, key: str) -> RawCloud:
         return read_cloud(self._cloud_path(key), self.scans)
 
-    def _seen(self, key: str) -> tuple[CloudCamera, RawCloud]:
-        """Returns the camera of a frame without an image, that of the calibration or a virtual one, and its points."""
-        raw, path = self._raw(key), self.calibration(key)
-        if path is not None:
-            return self._camera(path), raw
+    def _source(self, key: str) -> tuple[CloudCamera, Callable[[], RawCloud]]:
+        """Returns the camera of a frame without an image, and what reads its points.
+
+        The camera is that of the calibration, else a virtual one, whose place follows from the points.
+        """
+        if (path := self.calibration(key)) is not None:
+            return self._camera(path), lambda: self._raw(key)
+        raw = self._raw(key)
         place_m = self._origin.of(raw)
         T = T_CAMERA_LIDAR * RigidTransform.from_translation(-place_m)
         camera = CloudCamera(self.path, T, VIRTUAL_CAMERA, UP, in_world=bool(place_m.any()))
-        return camera, without_strays(raw, place_m)
+        return camera, lambda: without_strays(raw, place_m)
 
     def calibration(self, key: str) -> Path | None:
         """Returns the file of a frame's calibration, KITTI's or annotator's; None without one."""
@@ -199,6 +235,15 @@ class CloudFolder(Scanned):
         )
 
 
+def _poses(folder: CloudFolder, calibration: Path | None) -> Poses | None:
+    """Returns the poses of poses.csv, or of the odometry's poses.txt beside a calibration of KITTI."""
+    odometry = folder.path / ODOMETRY
+    if calibration is not None and calibration.name != FILE_NAME and odometry.is_file():
+        with suppress(FrameError):  # of the calibration, which each frame reports
+            return odometry_poses(odometry, read_calibration(calibration), folder.keys)
+    return read_poses(folder.path, folder.keys, folder.times_ns)
+
+
 def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | None:
     """Opens the folder of point clouds at `path`; None if it is not one."""
     if not path.is_dir():
@@ -213,6 +258,7 @@ def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | None:
             times = read_times(path, ordered)
             folder = CloudFolder(path, ordered, clouds, images, *times, Scans(options.columns), options.origin)
             calibration = folder.calibration(ordered[0])
+            folder = replace(folder, poses=_poses(folder, calibration))
             if options.origin is not None and calibration is not None:
                 raise ConfigError(
                     f"{path}: {calibration.name} says where the camera is, so {option_flag('origin')} is not taken; "

@@ -51,7 +51,6 @@ from annotator.types.errors import FrameError, MissingExtraError, RecordingError
 # The lowest confidence that is used, unless the option `min_confidence` says otherwise. Low confidence is found at
 # edges, where values lie between object and background, and on dark or shiny surfaces.
 MIN_CONFIDENCE = 1
-UP = np.array([0.0, 1.0, 0.0])
 MOST_OFF_UNIT = 1e-3
 # Part of the up direction that must lie in the image plane to tell which way an image is held.
 LEAST_UPRIGHT = 0.3
@@ -110,9 +109,13 @@ def turned(camera: Camera, turns: int) -> Camera:
     return camera
 
 
-def up_in_camera(world_from_camera: Rotation) -> Float64[np.ndarray, "3"]:
-    """Returns the unit vector against gravity in the camera's frame, given its orientation in ARKit's world."""
-    return np.asarray(world_from_camera.inv().apply(UP))
+# ARKit's world has y up; as a recording's, it has z up: x stays.
+T_WORLD_ARKIT = RigidTransform.from_rotation(Rotation.from_matrix(np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])))
+
+
+def up_in_camera(T_world_camera: RigidTransform) -> Float64[np.ndarray, "3"]:
+    """Returns the unit vector against gravity in the camera's frame, given its pose in a world with z up."""
+    return np.asarray(T_world_camera.rotation.inv().apply([0.0, 0.0, 1.0]))
 
 
 def unpack(data: bytes, most_bytes: int) -> bytes:
@@ -167,7 +170,7 @@ SUFFIX, METADATA, FOLDER = ".r3d", "metadata", "rgbd/"
 REMEDY = "export the recording again"
 # Depth sizes of the back and the front camera (long side, short side), for files that do not name them.
 DEPTH_SIZES = {256 * 192: (256, 192), 640 * 480: (640, 480)}
-OPENGL = np.array([1.0, -1.0, -1.0])
+T_OPENGL_CAMERA = RigidTransform.from_rotation(Rotation.from_matrix(np.diag([1.0, -1.0, -1.0])))
 # The first pose of a recording is the identity up to single precision if poses are relative to it.
 IDENTITY_RAD = 1e-3
 S_TO_NS = 1e9
@@ -224,7 +227,21 @@ class Record3D(Recording):
         cloud, in_color_m = phone_cloud(
             depth_path, camera, rgb, in_metres(depth_m, 1.0), confidence, self.min_confidence
         )
-        return Frame(key, i, camera, rgb, cloud, in_color_m, up=self._up(i), timestamp_ns=self._time_ns(i))
+        T = self.pose(i)
+        up = None if T is None or not self._knows_gravity else up_in_camera(T)
+        return Frame(key, i, camera, rgb, cloud, in_color_m, up, None, self._time_ns(i), T_world_camera=T)
+
+    @property
+    def pose_source(self) -> str | None:
+        return METADATA if self.metadata.poses else None
+
+    def pose(self, i: int) -> RigidTransform | None:
+        self.key(i)
+        place = self._place(i, len(self.metadata.poses))
+        if place is None or (turn := rotation_of(self.metadata.poses[place][:4])) is None:
+            return None
+        T_arkit_opengl = RigidTransform.from_components(self.metadata.poses[place][4:], turn)
+        return T_WORLD_ARKIT * T_arkit_opengl * T_OPENGL_CAMERA
 
     def _image(self, key: str) -> UInt8[np.ndarray, "h w 3"]:
         import cv2
@@ -300,18 +317,9 @@ class Record3D(Recording):
     @cached_property
     def _knows_gravity(self) -> bool:
         """True unless poses are missing, or relative to the first one."""
-        first = self._orientation(0)
+        place = self._place(0, len(self.metadata.poses))
+        first = None if place is None else rotation_of(self.metadata.poses[place][:4])
         return first is not None and bool(first.magnitude() > IDENTITY_RAD)
-
-    def _orientation(self, i: int) -> Rotation | None:
-        place = self._place(i, len(self.metadata.poses))
-        return None if place is None else rotation_of(self.metadata.poses[place][:4])
-
-    def _up(self, i: int) -> Float64[np.ndarray, "3"] | None:
-        orientation = self._orientation(i)
-        if orientation is None or not self._knows_gravity:
-            return None
-        return up_in_camera(orientation) * OPENGL
 
 
 def is_record3d(path: Path) -> bool:

@@ -23,6 +23,7 @@ from typing import ClassVar, Never, TypeVar
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.frame_limits import read_frame_file
@@ -31,7 +32,14 @@ from annotator.recordings.clouds.cloud_file import read_array
 from annotator.recordings.frame_times import Times, known_times
 from annotator.recordings.image_file import open_video, read_confidence, read_depth
 from annotator.recordings.listing import file_errors, frame_file, require_size
-from annotator.recordings.phones.record3d import phone_cloud, rotation_of, turned, turns_to_upright, up_in_camera
+from annotator.recordings.phones.record3d import (
+    T_WORLD_ARKIT,
+    phone_cloud,
+    rotation_of,
+    turned,
+    turns_to_upright,
+    up_in_camera,
+)
 from annotator.recordings.plausible import LARGEST, are_plausible, is_pinhole, pinhole
 from annotator.recordings.recording import ReaderOptions, Recording
 from annotator.text import to_number
@@ -97,7 +105,29 @@ class StrayScanner(Recording):
             require_size(path, confidence, depth_m.shape[::-1], "the depth image has", REMEDY)
         cloud, in_color_m = phone_cloud(depth_path, camera, rgb, depth_m, confidence, self.min_confidence)
         self._time_ns(i)  # raises for a damaged one
-        return Frame(key, i, camera, rgb, cloud, in_color_m, up=self._up(i), timestamp_ns=self._times_ns[i])
+        up, time_ns, T = up_in_camera(self._turned_pose(i, self.turns)), self._times_ns[i], self.pose(i)
+        return Frame(key, i, camera, rgb, cloud, in_color_m, up, None, time_ns, T_world_camera=T)
+
+    @property
+    def pose_source(self) -> str | None:
+        return POSES if self.has_places else None
+
+    def pose(self, i: int) -> RigidTransform | None:
+        self.key(i)
+        return self._turned_pose(i, self.turns) if self.has_places else None
+
+    @property
+    def has_places(self) -> bool:
+        return all(name in self.rows[0] for name in "xyz")
+
+    def _turned_pose(self, i: int, turns: int) -> RigidTransform:
+        """Returns the pose of the camera whose images are turned; at the origin without places."""
+        turn = rotation_of(self._numbers(i, QUATERNION))
+        if turn is None:
+            self._raise(i, "qx qy qz qw is not a rotation")
+        place_m = self._numbers(i, "xyz") if self.has_places else [0.0, 0.0, 0.0]
+        T_camera_turned = RigidTransform.from_rotation(Rotation.from_euler("z", -90 * turns, degrees=True))
+        return T_WORLD_ARKIT * RigidTransform.from_components(place_m, turn) * T_camera_turned
 
     def _camera(self, i: int, rgb: UInt8[np.ndarray, "h w 3"]) -> Camera:
         """Returns the colour camera of an image, whose intrinsics change while the phone focuses."""
@@ -118,15 +148,6 @@ class StrayScanner(Recording):
     def _times_ns(self) -> Times:
         """The times of all frames; None for those that are not set, or damaged, which each frame reports."""
         return known_times(tuple(_or_none(self._time_ns, i) for i in range(len(self))))
-
-    def _up(self, i: int) -> Float64[np.ndarray, "3"]:
-        orientation = rotation_of(self._numbers(i, QUATERNION))
-        if orientation is None:
-            self._raise(i, "qx qy qz qw is not a rotation")
-        x, y, z = up_in_camera(orientation)
-        for _ in range(self.turns):
-            x, y = -y, x
-        return np.array([x, y, z])
 
     def _turned(self, image: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(np.rot90(image, -self.turns))
@@ -170,8 +191,10 @@ def open_stray_scanner(path: Path, options: ReaderOptions) -> StrayScanner | Non
         seen.add(key)
     recording = StrayScanner(path, keys, rows, min_confidence=options.min_confidence)
     # by some frames with a sound row
-    ups = [_or_none(recording._up, i) for i in range(0, len(recording), len(recording) // SOME + 1)]
-    return replace(recording, turns=turns_to_upright(np.array([up for up in ups if up is not None]).reshape(-1, 3)))
+    some = range(0, len(recording), len(recording) // SOME + 1)
+    found = [_or_none(lambda i: recording._turned_pose(i, 0), i) for i in some]
+    ups = [up_in_camera(T) for T in found if T is not None]
+    return replace(recording, turns=turns_to_upright(np.array(ups).reshape(-1, 3)))
 
 
 def _or_none(read: Callable[[int], Value], i: int) -> Value | None:

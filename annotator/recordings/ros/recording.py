@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -43,6 +42,7 @@ from annotator.recordings.ros.topics import (
     frame_of,
 )
 from annotator.recordings.ros.transforms import LinkMissingError, Links, TransformReader, frame_in, up_near
+from annotator.recordings.ros.world import BagWorld, find_world, frame_above
 from annotator.recordings.two_cameras import registered
 from annotator.types import Frame, PointCloud
 from annotator.types.errors import ConfigError, FrameError, GeometryError, RecordingError
@@ -63,6 +63,7 @@ class RosBag(Recording):
     Attributes:
         camera_frame: tf frame of the camera; "" = that of its images.
         fixed_frame: tf frame by which clouds are moved; None if tf does not know how the rig moves.
+        world: what says where the rig is; None without tf to a world and topics of poses.
         unit_m: metres of a unit of depth, as RealSense's own topics say; None for other bags.
         scale: of the clouds' reflectance and colours.
         given_origin: the option `origin`, for clouds without images.
@@ -74,6 +75,7 @@ class RosBag(Recording):
     tf: TransformReader
     camera_frame: str
     fixed_frame: str | None
+    world: BagWorld | None
     unit_m: float | None
     told: tuple[str, ...]
     scale: CommonScale = field(default_factory=CommonScale)
@@ -116,13 +118,14 @@ class RosBag(Recording):
         """Reads frame `i`; from depth images, with `depth_m`."""
         assert self.chosen.image is not None
         with self._errors(i) as key:
-            partner, depth_m, world = self._partner(i), None, None
-            camera, T, up = self._mounted(i, partner)
+            partner, depth_m = self._partner(i), None
+            camera, T, up = self._mounted(i, frame_in(self.chosen.partner, partner))
+            world = self._T_world_camera(i, camera, T)
             rgb = self._picture(self.chosen.image.topic, int(self.pairs.image[i]), camera)
             if self.chosen.depth is not None:
                 cloud, depth_m = self._from_depth(partner, self.chosen.depth, T, rgb, camera, self._log_ns(i))
             else:
-                raw, world = self._cloud(partner), world_pose(T)
+                raw = self._cloud(partner)
                 xyz_m = T.apply(raw.xyz_m).astype(np.float32)
                 cloud = visible_cloud(self.path, camera.camera, xyz_m, raw, rgb, f"check tf at frame {key}")
             if len(cloud) == 0:
@@ -130,9 +133,32 @@ class RosBag(Recording):
             time_ns = int(self.pairs.time_ns[i])
             return Frame(key, i, camera.camera, rgb, cloud, depth_m, up, None, time_ns, T_world_camera=world)
 
-    def _log_ns(self, i: int) -> int:
+    @property
+    def pose_source(self) -> str | None:
+        return None if self.world is None else self.world.source
+
+    def pose(self, i: int) -> RigidTransform | None:
+        with self._errors(i):
+            camera, T = self._placed(i, frame_of(self.chosen.partner))
+            return self._T_world_camera(i, camera, T)
+
+    def _T_world_camera(self, i: int, camera: BagCamera, T_camera_points: RigidTransform) -> RigidTransform | None:
+        """Returns the pose of a frame's camera: in the clouds' coordinates if these are a map's, else in the world."""
+        if self.chosen.points is not None and (T_map := world_pose(T_camera_points)) is not None:
+            return T_map
+        T = None
+        if self.world is not None:
+            T = self.world.T_world(self._camera_frame, int(self.pairs.time_ns[i]), self._log_ns(i))
+        return None if T is None else T * camera.T_camera_frame.inv()
+
+    @property
+    def _camera_frame(self) -> str:
         assert self.chosen.image is not None
-        return int(self.chosen.image.topic.log_ns[int(self.pairs.image[i])])
+        return self.camera_frame or self.chosen.image.frame
+
+    def _log_ns(self, i: int) -> int:
+        topic = self.chosen.partner if self.chosen.image is None else self.chosen.image.topic
+        return int(topic.log_ns[int(self.pairs.image[i])])
 
     def _partner(self, i: int) -> Any:
         with _naming(self.chosen.partner):
@@ -180,16 +206,20 @@ class RosBag(Recording):
             return PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel), pixel_index=pixel), depth_m
         return registered(depth_m, a, T_color_depth, rgb, b)
 
-    def _mounted(self, i: int, partner: Any) -> tuple[BagCamera, RigidTransform, Float64[np.ndarray, "3"] | None]:
-        """Returns the camera of a frame, the transform to it from the points or depths, and up in it if it is known.
+    def _mounted(self, i: int, cloud: str) -> tuple[BagCamera, RigidTransform, Float64[np.ndarray, "3"] | None]:
+        """Returns the camera of a frame, the transform to it from the points or depths, and up in it if it is known."""
+        camera, T = self._placed(i, cloud)
+        return camera, T, self._up(camera, self._camera_frame, int(self.pairs.time_ns[i]), self._log_ns(i))
+
+    def _placed(self, i: int, cloud: str) -> tuple[BagCamera, RigidTransform]:
+        """Returns the camera of a frame, and the transform to it from the tf frame `cloud` of the points or depths.
 
         The points are those at their own time, the camera is that at the time of the image.
         """
         assert self.chosen.image is not None
         log_ns, time_ns, cloud_ns = self._log_ns(i), int(self.pairs.time_ns[i]), int(self.pairs.cloud_time_ns[i])
         camera = self._camera(self.chosen.info, self.chosen.image, log_ns)
-        frame, cloud = self.camera_frame or self.chosen.image.frame, frame_in(self.chosen.partner, partner)
-        T, via = None, self.fixed_frame
+        frame, T, via = self._camera_frame, None, self.fixed_frame
         # where the motion is not known, the rigid mount must do
         with suppress(LinkMissingError):
             if via is not None and time_ns != cloud_ns:
@@ -198,7 +228,7 @@ class RosBag(Recording):
                 )
         if T is None:
             T = self.tf.look_up(log_ns, partial(_link, frame, cloud, time_ns))
-        return camera, camera.T_camera_frame * T, self._up(camera, frame, time_ns, log_ns)
+        return camera, camera.T_camera_frame * T
 
     def _up(self, camera: BagCamera, camera_frame: str, time_ns: int, log_ns: int) -> Float64[np.ndarray, "3"] | None:
         """Returns the unit vector against gravity by an IMU at rest, of which tf knows how it is turned."""
@@ -222,28 +252,42 @@ class ScanBag(RosBag, Scanned):
             return virtual_frame(self.scan(i), key, i, VIRTUAL_CAMERA, T_CAMERA_LIDAR.rotation)
 
     def scan(self, i: int) -> Scan:
-        """Reads the whole cloud of frame `i`, ahead being where the camera looks, or x without images.
+        """Returns the whole cloud of frame `i`, ahead being where the camera looks, or x without images.
 
         Without an IMU, z is taken as up.
         """
         with self._errors(i):
             content = self._partner(i)
-            raw = self._cloud(content)
+            raw, frame = self._cloud(content), frame_in(self.chosen.partner, content)
             R_level_scan, knows_up = Rotation.identity(), True
             if self.chosen.image is None:
                 place_m = self._origin.of(raw)
                 raw = without_strays(raw, place_m)
+                T_world_scan = RigidTransform.identity() if place_m.any() else self._T_world_scan(i, frame)
             else:
-                _, T_camera_scan, up = self._mounted(i, content)
+                camera, T_camera_scan, up = self._mounted(i, frame)
                 R_scan_camera, knows_up = T_camera_scan.rotation.inv(), up is not None
                 up_scan = Z if up is None else R_scan_camera.apply(up)
                 R_level_scan = level_turn(up_scan, R_scan_camera.apply(FORWARD))
-                T_world_camera = world_pose(T_camera_scan)
-                place_m = np.zeros(3) if T_world_camera is None else T_world_camera.translation
-            return Scan(
-                raw, R_level_scan, place_m, RigidTransform.identity(), knows_up,
-                int(self.pairs.cloud_time_ns[i]), RigidTransform.identity() if place_m.any() else None,
-            )  # fmt: skip
+                T_map_camera = world_pose(T_camera_scan)
+                place_m = np.zeros(3) if T_map_camera is None else T_map_camera.translation
+                T_world_camera = self._T_world_camera(i, camera, T_camera_scan)
+                T_world_scan = None if T_world_camera is None else T_world_camera * T_camera_scan
+            time_ns = int(self.pairs.cloud_time_ns[i])
+            T_scan_label = RigidTransform.identity()
+            return Scan(lambda: raw, R_level_scan, place_m, T_scan_label, knows_up, time_ns, T_world_scan)
+
+    def pose(self, i: int) -> RigidTransform | None:
+        if self.chosen.image is not None:
+            return super().pose(i)
+        if self.world is not None and self.given_origin is None and not self._origin.xyz_m.any():
+            T_world_scan = self._T_world_scan(i, frame_of(self.chosen.partner))
+            return None if T_world_scan is None else T_world_scan * T_CAMERA_LIDAR.inv()
+        return self.scan(i).T_world_camera(T_CAMERA_LIDAR.rotation)
+
+    def _T_world_scan(self, i: int, frame: str) -> RigidTransform | None:
+        time_ns, log_ns = int(self.pairs.cloud_time_ns[i]), self._log_ns(i)
+        return None if self.world is None else self.world.T_world(frame, time_ns, log_ns)
 
 
 def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | None:
@@ -267,7 +311,8 @@ def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | None:
         pairs = pair(chosen.image.topic, chosen.partner, options.tolerance_s or max(TOLERANCE_S, period_s))
         notes += pairs.notes
         if not options.no_motion and len(pairs.image):
-            fixed = _fixed_frame(tf, chosen.image, chosen.partner, pairs, camera_frame)
+            moving = camera_frame or chosen.image.frame, frame_of(chosen.partner)
+            fixed = frame_above(tf, moving, _log_times(chosen.image.topic, pairs), FIXED_FRAMES)
     if not len(pairs.image):
         raise RecordingError(f"{path}: no frames; {'; '.join(pairs.notes)}")
     if fixed is not None:
@@ -275,10 +320,26 @@ def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | None:
             f"clouds are moved to the images' times by the motion of the rig in {fixed} where tf knows it "
             "(not with --no-motion)"
         )
+    sensor, topic = frame_of(chosen.partner), chosen.partner
+    if chosen.image is not None:
+        sensor, topic = camera_frame or chosen.image.frame, chosen.image.topic
+    world, told = find_world(bag, tf, sensor, _log_times(topic, pairs))
+    notes += [told] if told else []
     keys = tuple(f"{number:06d}" for number in pairs.image)
     kind = RosBag if chosen.points is None else ScanBag
     return kind(
-        path, keys, bag, chosen, pairs, tf, camera_frame, fixed, unit_m, tuple(notes), given_origin=options.origin
+        path,
+        keys,
+        bag,
+        chosen,
+        pairs,
+        tf,
+        camera_frame,
+        fixed,
+        world,
+        unit_m,
+        tuple(notes),
+        given_origin=options.origin,
     )
 
 
@@ -289,15 +350,8 @@ def _alone(clouds: Topic) -> Pairs:
     return Pairs(order, order, times[order], times[order], ())
 
 
-def _fixed_frame(tf: TransformReader, image: ImageTopic, clouds: Topic, pairs: Pairs, camera_frame: str) -> str | None:
-    """Returns the frame in which tf knows the motion of both camera and cloud, at least at times; None without one."""
-    camera, cloud = camera_frame or image.frame, frame_of(clouds)
-    for number in pairs.image[[0, len(pairs.image) // 2, -1]].tolist():
-        for links in islice(tf.windows(int(image.topic.log_ns[number])), 2):
-            for fixed in FIXED_FRAMES:
-                if links.is_below(camera, fixed) and links.is_below(cloud, fixed):
-                    return fixed
-    return None
+def _log_times(topic: Topic, pairs: Pairs) -> list[int]:
+    return [int(topic.log_ns[number]) for number in pairs.image.tolist()]
 
 
 def _link(target: str, source: str, time_ns: int, links: Links) -> RigidTransform:

@@ -19,10 +19,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.spatial.transform import RigidTransform, Rotation, Slerp
+from scipy.spatial.transform import RigidTransform
 
 from annotator.recordings.kinect.calibration import MOST_SAMPLES, WITHIN_NS, up_at_rest
 from annotator.recordings.plausible import are_plausible
+from annotator.recordings.poses import between, rigid
 from annotator.recordings.ros.bag import Bag, Topic
 from annotator.recordings.ros.messages import FIELD_ERRORS, SECOND, frame_id, message, stamp_ns
 
@@ -81,7 +82,7 @@ class Links:
             self.poses.pop(child, None)
         self.parents[child] = parent
         if time_ns is None:
-            self.static[child] = _rigid(place_m, quaternion)
+            self.static[child] = rigid(place_m, quaternion)
         else:
             self.poses.setdefault(child, {})[time_ns] = (place_m, quaternion)
 
@@ -104,6 +105,10 @@ class Links:
     def is_below(self, name: str, above: str) -> bool:
         return above in self._ancestors(name)
 
+    def top(self, name: str) -> str:
+        """Returns the frame that is above all others of `name`."""
+        return list(self._ancestors(name))[-1]
+
     def _ancestors(self, name: str) -> Iterator[str]:
         seen: set[str] = set()
         while name not in seen:
@@ -119,14 +124,15 @@ class Links:
         after = int(np.searchsorted(times, time_ns))
         if 0 < after < len(times):
             before_ns, after_ns = times[after - 1], times[after]
-            return _between(poses[before_ns], poses[after_ns], (time_ns - before_ns) / (after_ns - before_ns))
+            share = (time_ns - before_ns) / (after_ns - before_ns)
+            return between(rigid(*poses[before_ns]), rigid(*poses[after_ns]), share)
         nearest = times[min(after, len(times) - 1)]
         if abs(nearest - time_ns) > LONGEST_GAP_NS:
             raise LinkMissingError(
                 f"the transform from {child} to {self.parents[child]} is not known at this time; "
                 f"the nearest is {abs(nearest - time_ns) / SECOND:.2f} s away"
             )
-        return _rigid(*poses[nearest])
+        return rigid(*poses[nearest])
 
     def _gap(self, target: str, source: str, top_target: str, top_source: str) -> str:
         missing = f"the transform from {source} to {target} is missing"
@@ -206,7 +212,7 @@ def _read_links(topic: Topic, i: int) -> Iterator[Link]:
         content, stream = message(topic, i), STREAM_POSE.fullmatch(topic.name)
         if stream is not None:
             # it leads from what the streams share to the stream
-            T = _rigid(*_place_and_turn(content)).inv()
+            T = rigid(*_place_and_turn(content)).inv()
             yield "the streams", stream[1], 0, T.translation, T.rotation.as_quat()
             return
         for link in getattr(content, "transforms", None) or [content]:
@@ -222,18 +228,6 @@ def _read_links(topic: Topic, i: int) -> Iterator[Link]:
 def _place_and_turn(pose: Any) -> tuple[np.ndarray, np.ndarray]:
     place, turn = pose.translation, pose.rotation
     return np.array([place.x, place.y, place.z], float), np.array([turn.x, turn.y, turn.z, turn.w], float)
-
-
-def _rigid(place_m: np.ndarray, quaternion: np.ndarray) -> RigidTransform:
-    return RigidTransform.from_components(place_m, Rotation.from_quat(quaternion))
-
-
-def _between(
-    first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray], share: float
-) -> RigidTransform:
-    """Returns the pose between two: places linearly, rotations along the shortest arc."""
-    turn = Slerp([0, 1], Rotation.from_quat([first[1], second[1]]))(share)
-    return RigidTransform.from_components(first[0] + (second[0] - first[0]) * share, turn)
 
 
 def up_near(topic: Topic, log_ns: int) -> tuple[Float64[np.ndarray, "3"] | None, str]:

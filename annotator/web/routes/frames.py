@@ -191,9 +191,9 @@ def beside(at: AtFrame) -> Beside:
 
 
 @router.get("/api/projects/{name}/frames/{frame_id}", response_model=FrameStateJson)
-def frame(at: AtFrame) -> JSONResponse:
-    """All data of a frame that the page shows."""
-    return ModelResponse(at.state())
+def frame(at: AtFrame, best_for: Uid | None = None) -> JSONResponse:
+    """All data of a frame that the page shows; `best_for`: of the camera of its moment that sees this label best."""
+    return ModelResponse(at.state(best_for))
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/changes", response_model=ChangedJson, responses=STALE)
@@ -202,7 +202,7 @@ def changes(at: AtFrame, body: ChangesIn) -> JSONResponse:
     with at.change(body):
         context = body.context(at.operator, body.subject)
         payloads = [entry.payload() for entry in body.changes]
-        moved = apply_changes(at.project, at.frame_id, payloads, context, at.open)
+        moved = apply_changes(at.project, at.frame_id, payloads, context, at.open, at.recording)
     return ModelResponse(ChangedJson.of(at.state(), moved=moved))
 
 
@@ -262,8 +262,9 @@ def image(
     return Response(content, media_type="image/jpeg", headers={"Cache-Control": CACHE_FOREVER if v else "no-cache"})
 
 
-# Share of the points that the top view shows first, percent: a few lie far behind the others.
-MAP_PERCENT = 95.0
+# Share of the points that the top view shows first, percent: a few lie far behind the others, but of a LiDAR's points
+# most lie near, and its far objects have hardly any.
+MAP_PERCENT = 99.0
 
 
 @router.get("/api/projects/{name}/frames/{frame_id}/reach")

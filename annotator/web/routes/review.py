@@ -163,7 +163,8 @@ SourceName = Annotated[str, Query(min_length=1, max_length=MOST_NAME)]
 
 
 class ItemJson(Schema):
-    """A proposal to review, or (uid null) a frame to draw on; `sources` are all that see the object."""
+    """A proposal to review, or (uid null) a frame to draw on; `sources` are all that see the object, `heading` is a
+    unit vector in the frame of its camera."""
 
     frame: int
     key: str
@@ -172,6 +173,7 @@ class ItemJson(Schema):
     label: str | None
     doubt: float | None
     sources: tuple[str, ...]
+    heading: tuple[float, ...] | None
 
 
 class QueueOut(Schema):
@@ -409,5 +411,5 @@ def save(at: AtFrame, body: SaveIn) -> SaveOut:
         answer = _steps_json(at, opened, labelling, ready)
     with at.change(body):
         image_boxes, context = [box.box() for box in body.image_boxes], body.context(at.operator, body.subject)
-        uid = save_object(at.project, at.frame_id, opened, image_boxes, body.box_kind, drawn, context)
+        uid = save_object(at.project, at.frame_id, opened, image_boxes, body.box_kind, drawn, context, at.recording)
     return SaveOut.model_construct(state=at.state(), uid=uid, drawn=answer)

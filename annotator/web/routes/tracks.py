@@ -18,14 +18,14 @@ from annotator.types.errors import AnnotatorError, DetectionError
 from annotator.web.context import AtProject, InProject
 from annotator.web.follow_runs import Direction, FollowRunJson
 from annotator.web.frame_json import STALE, AtFrame, InFrame, ModelResponse, picture_version
-from annotator.web.schemas import Box3DJson, FrameChange, RowId, Schema, Uid, WithEffort
+from annotator.web.schemas import FrameChange, RowId, Schema, Uid, WithEffort
 from annotator.workflows.tracks.copy_next import copy_next
 from annotator.workflows.tracks.follow_run import follow_from_frame
-from annotator.workflows.tracks.key_frames import carry_correction
-from annotator.workflows.tracks.operations import AnyOperation, Count, Fill, apply, box_fitter
+from annotator.workflows.tracks.operations import AnyOperation, Count, Fill, apply
 from annotator.workflows.tracks.propose_boxes import boxes_of
+from annotator.workflows.tracks.refit_run import RefitRun, box_fitter
 from annotator.workflows.workbench.contact_sheet import SeenBox, accept_boxes
-from annotator.workflows.workbench.frame_state import seen_labels
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector, has_view_with_classes
 
 router = APIRouter(tags=["tracks"])
@@ -67,18 +67,6 @@ class CopyNextOut(Schema):
 
     frame: int
     uid: str
-
-
-class CarryIn(LabelIn):
-    """A reviewed label, and its box before it was corrected."""
-
-    was: Box3DJson
-
-
-class CarryOut(Schema):
-    """Number of proposals that were corrected alike."""
-
-    changed: int
 
 
 class FollowIn(FrameChange):
@@ -141,15 +129,6 @@ def copy_to_next(at: AtFrame, body: LabelIn) -> CopyNextOut:
     return CopyNextOut(frame=done.frame_id, uid=done.uid)
 
 
-@router.post("/api/projects/{name}/frames/{frame_id}/carry", responses=STALE)
-def carry(at: AtFrame, body: CarryIn) -> CarryOut:
-    """Correct the proposals of a track after this box, its last reviewed one, alike; one undo step."""
-    with at.change(body):
-        was, effort = body.was.box(), body.stored_effort()
-        changed = carry_correction(at.project, at.frame_id, body.uid, body.revision, was, at.operator, effort=effort)
-    return CarryOut(changed=len(changed))
-
-
 @router.post("/api/projects/{name}/frames/{frame_id}/follow", responses=STALE)
 def follow(at: AtFrame, body: FollowIn) -> FollowRunJson:
     """Follow reviewed boxes through the recording; one undo step. The operator's last run is stopped first."""
@@ -184,11 +163,10 @@ def stop_following(at: AtProject) -> FollowRunJson | None:
 @router.post("/api/projects/{name}/recordings/{recording_id}/tracks/{track_id}")
 def operate(at: AtProject, recording_id: RowId, track_id: TrackId, body: OperationIn) -> OperationOut:
     """Apply an operation to a track, one undo step, if it does what the operator was told; untold, only count."""
-    caches, operation, fit = at.ctx.caches, body.operation, None
-    if isinstance(operation, Fill) and operation.refit:
-        view = caches.detectors.get(at.project, DetectorKind.VIEW)
-        fit = box_fitter(at.project, lambda frame: caches.frames.open(at.project, frame.id), view)
-    count = apply(
+    caches, operation = at.ctx.caches, body.operation
+    is_fit = body.told is not None and isinstance(operation, Fill) and operation.refit
+    view = caches.detectors.get(at.project, DetectorKind.VIEW) if is_fit else None
+    done = apply(
         at.project,
         recording_id,
         track_id,
@@ -196,13 +174,17 @@ def operate(at: AtProject, recording_id: RowId, track_id: TrackId, body: Operati
         at.operator,
         dry_run=body.told is None,
         told=body.told,
-        fit=fit,
         effort=body.stored_effort(),
         at=body.at,
+        recordings=at.recording,
     )
     if body.told is not None:
         at.announce()
-    return OperationOut(count=count, words=count.words())
+    if is_fit:
+        fit = box_fitter(at.project, lambda frame: OpenFrame(caches.frames.look(at.project, frame)), view)
+        run = RefitRun(at.project, done, at.operator, fit)
+        at.ctx.follow_runs.start(at.project, at.operator, run, done.changes[0][0], "between", view is not None)
+    return OperationOut(count=done.count, words=done.count.words())
 
 
 def _own_view(at: InFrame) -> ReadyDetector | None:
@@ -258,7 +240,7 @@ def track_sheet(at: AtProject, recording_id: RowId, track_id: TrackId) -> Stream
 def frame_sheet(at: AtFrame) -> StreamingResponse:
     """The pictures of a frame's boxes, as those of a track."""
     page = read_page(at.project, at.frame_id)
-    return _tiles(at, [(page.frame, stored.label) for stored, _ in seen_labels(page, at.open())])
+    return _tiles(at, [(page.frame, stored.label) for stored in page.labels])
 
 
 def _tiles(at: InProject, boxes: Sequence[tuple[StoredFrame, Label]]) -> StreamingResponse:

@@ -17,6 +17,7 @@ from annotator.geometry.oriented_box import CORNER_SIGNS, EDGES, contains
 from annotator.geometry.projection import in_frustum, thin, undistort_px
 from annotator.types import Box2D, Frame, OrientedBox, PointCloud, PseudoView, ReviewState
 from annotator.web.viewport.guides import Look
+from annotator.web.viewport.palette import PALETTES, Color, Palette, Theme
 
 # Limit of shown points: all of a frame's, which graphics cards draw without delay. Browsers without one ask for fewer.
 MOST_POINTS = 1_000_000
@@ -48,7 +49,7 @@ class ShownBox:
     uid: str | None
     box: OrientedBox
     state: ReviewState
-    color: tuple[int, int, int] | None = None
+    color: Color | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +76,7 @@ class SceneContent:
         hide_ground, most_height_m: leave out points of the ground, and those higher above it.
         only_selected: leave out other boxes, and points that are not near the selected one.
         look: moves the viewer.
+        ground: below the frame's points; None = to be found.
     """
 
     key: tuple[str, int] | None
@@ -90,6 +92,13 @@ class SceneContent:
     most_height_m: float | None = None
     only_selected: bool = False
     look: Look | None = None
+    theme: Theme = Theme.DARK
+    ground: Ground | None = None
+
+    @property
+    def palette(self) -> Palette:
+        """The colours of its theme."""
+        return PALETTES[self.theme]
 
     @property
     def selected_box(self) -> ShownBox | None:
@@ -111,7 +120,7 @@ class SceneContent:
     def colors_key(self) -> tuple[object, ...]:
         """Equal for two contents whose points have the same colours."""
         boxes = self.boxes if self.color is PointColor.UNLABELLED else ()
-        return self.color, *((shown.box.pose.tobytes(), *shown.box.size_m) for shown in boxes)
+        return self.color, self.theme, *((shown.box.pose.tobytes(), *shown.box.size_m) for shown in boxes)
 
 
 # Depth and height colours cover the range between these percentiles, so that outliers do not compress them.
@@ -123,8 +132,6 @@ LIDAR_SHARE, DEPTH_SPACINGS = 0.0015, 1.5
 SAMPLE = 5_000
 # Points near the selected box: within this share of its longest side.
 NEAR_SHARE = 0.25
-# Colours of points on the ground, in a box, and in none.
-GROUND_GRAY, LABELLED_GRAY, UNLABELLED_COLOR = (44, 47, 53), (92, 98, 108), (255, 190, 92)
 # Distance of an empty scene, metres.
 EMPTY_DISTANCE_M = 3.0
 
@@ -163,7 +170,7 @@ def _order(n_points: int, most: int) -> Int64[np.ndarray, "m"]:
 
 
 def point_colors(
-    cloud: PointCloud, color: PointColor, ground: Ground, boxes: Sequence[ShownBox] = ()
+    cloud: PointCloud, color: PointColor, ground: Ground, palette: Palette, boxes: Sequence[ShownBox] = ()
 ) -> UInt8[np.ndarray, "n 3"]:
     """The colour of each point; a cloud without the required quantity is coloured by depth."""
     if color is PointColor.RGB and cloud.rgb is not None:
@@ -171,20 +178,22 @@ def point_colors(
     if color is PointColor.HEIGHT:
         return _mapped(ground.above_m(cloud.xyz_m))
     if color is PointColor.UNLABELLED:
-        return _unlabelled(cloud, ground, boxes)
+        return _unlabelled(cloud, ground, palette, boxes)
     if color is not PointColor.DEPTH and cloud.reflectance is not None:
         # the square root brightens dark values, which most LiDAR returns have
-        return _gray(np.sqrt(np.clip(cloud.reflectance, 0, 1)))
+        return _gray(np.sqrt(np.clip(cloud.reflectance, 0, 1)), palette)
     if color is PointColor.INTENSITY and cloud.rgb is not None:
-        return _gray(cloud.rgb @ np.array([0.299, 0.587, 0.114], np.float32) / np.float32(255))
+        return _gray(cloud.rgb @ np.array([0.299, 0.587, 0.114], np.float32) / np.float32(255), palette)
     return _mapped(-np.log(np.maximum(cloud.xyz_m[:, 2], np.float32(0.05))))
 
 
-def _unlabelled(cloud: PointCloud, ground: Ground, boxes: Sequence[ShownBox]) -> UInt8[np.ndarray, "n 3"]:
-    colors = np.tile(np.array(UNLABELLED_COLOR, np.uint8), (len(cloud), 1))
-    colors[ground.above_m(cloud.xyz_m) < ground.thickness_m] = GROUND_GRAY
+def _unlabelled(
+    cloud: PointCloud, ground: Ground, palette: Palette, boxes: Sequence[ShownBox]
+) -> UInt8[np.ndarray, "n 3"]:
+    colors = np.tile(np.array(palette.unlabelled, np.uint8), (len(cloud), 1))
+    colors[ground.above_m(cloud.xyz_m) < ground.thickness_m] = palette.ground
     for shown in boxes:
-        colors[contains(shown.box, cloud.xyz_m)] = LABELLED_GRAY
+        colors[contains(shown.box, cloud.xyz_m)] = palette.labelled
     return colors
 
 
@@ -213,8 +222,9 @@ def scene_up(frame: Frame) -> Float64[np.ndarray, "3"]:
     return CAMERA_UP if frame.up is None else frame.up
 
 
-def _gray(share: Float[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
-    level = (share * 215 + 40).astype(np.uint8)
+def _gray(share: Float[np.ndarray, "n"], palette: Palette) -> UInt8[np.ndarray, "n 3"]:
+    weakest, strongest = palette.grays
+    level = (share * (strongest - weakest) + weakest).astype(np.uint8)
     return np.repeat(level[:, None], 3, axis=1)
 
 

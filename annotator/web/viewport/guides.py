@@ -12,12 +12,12 @@ from jaxtyping import Float32, Float64, UInt8
 from annotator.geometry.ground import Ground
 from annotator.geometry.projection import undistort_px
 from annotator.types import Frame, OrientedBox
+from annotator.web.viewport.palette import Palette
 
 Vector = Float64[np.ndarray, "3"]
 Segments = Float32[np.ndarray, "k 2 3"]
 Colors = UInt8[np.ndarray, "k 2 3"]
 
-GRID_COLOR, RING_COLOR, CAMERA_COLOR = (58, 62, 70), (96, 102, 114), (170, 176, 188)
 # Ahead, left, up: red, green, blue.
 AXES_COLORS = ((232, 86, 74), (96, 190, 96), (96, 144, 246))
 # The grid and the rings reach the points up to this percentile of their distances; number of grid cells and of rings to
@@ -110,7 +110,7 @@ def stand(
     return Stand(middle + 0.5 * size_m / math.tan(0.5 * NARROW_RAD) * toward, middle, up, NARROW_RAD)
 
 
-def guide_lines(frame: Frame, ground: Ground, reach_m: float) -> tuple[Segments, Colors]:
+def guide_lines(frame: Frame, ground: Ground, reach_m: float, palette: Palette) -> tuple[Segments, Colors]:
     """The grid, the rings around a LiDAR with their radii in metres, axes on the ground and the camera's frustum.
 
     Args:
@@ -125,7 +125,7 @@ def guide_lines(frame: Frame, ground: Ground, reach_m: float) -> tuple[Segments,
     back = -half if is_lidar else 0.0
     across = [[[along, -half], [along, half]] for along in marks if along >= back]
     grid = np.array([*across, *([[back, side], [half, side]] for side in marks)])
-    parts = [(grid @ ground.axes[:2] + level, GRID_COLOR)]
+    parts = [(grid @ ground.axes[:2] + level, palette.grid)]
     size_m = AXES_SHARE * reach_m
     if is_lidar:
         ring_m = _round_up(reach_m / MOST_RINGS)
@@ -133,14 +133,14 @@ def guide_lines(frame: Frame, ground: Ground, reach_m: float) -> tuple[Segments,
         ring = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ ground.axes[:2]
         for radius_m in np.arange(ring_m, half + 0.5 * ring_m, ring_m):
             around = radius_m * ring
-            parts.append((np.stack([around[:-1], around[1:]], axis=1) + level, RING_COLOR))
+            parts.append((np.stack([around[:-1], around[1:]], axis=1) + level, palette.rings))
             number = _number_lines(f"{radius_m:g}", DIGIT_SHARE * radius_m) + np.array([radius_m, 0.0])
-            parts.append((number @ ground.axes[:2] + level, RING_COLOR))
+            parts.append((number @ ground.axes[:2] + level, palette.rings))
     parts += [
         (arrow_lines(level, level + size_m * axis, level + size_m * axis), color)
         for axis, color in zip(ground.axes, AXES_COLORS, strict=True)
     ]
-    parts.append((_camera_lines(frame, size_m), CAMERA_COLOR))
+    parts.append((_camera_lines(frame, size_m), palette.camera))
     lines = np.concatenate([part for part, _ in parts]).astype(np.float32)
     colors = np.concatenate([np.broadcast_to(np.array(color, np.uint8), part.shape) for part, color in parts])
     return lines, colors

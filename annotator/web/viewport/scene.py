@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.ground import find_ground
 from annotator.rcv.pseudo_view import BACKGROUND
-from annotator.types import Frame, OrientedBox, PointCloud, ReviewState
+from annotator.types import Frame, OrientedBox, PointCloud
 from annotator.web.viewport.drawing import (
     CAMERA_UP,
     Draft,
@@ -29,6 +29,8 @@ from annotator.web.viewport.drawing import (
 )
 from annotator.web.viewport.faces import FaceHandles
 from annotator.web.viewport.guides import Look, Stand, arrow_lines, guide_lines, scene_reach_m, stand
+from annotator.web.viewport.palette import Color, Palette
+from annotator.web.viewport.viser_page import configure_theme
 
 if TYPE_CHECKING:
     import viser
@@ -37,25 +39,17 @@ if TYPE_CHECKING:
 
     OnGizmo = Callable[[viser.TransformControlsEvent], Coroutine[None, None, None]]
 
-# The same colours as in the page (web_assets/js/annotate/drawing.js).
-STATE_COLORS: dict[ReviewState, tuple[int, int, int]] = {
-    ReviewState.PROPOSED: (240, 173, 78),
-    ReviewState.ACCEPTED: (95, 202, 133),
-    ReviewState.EDITED: (106, 174, 245),
-    ReviewState.REJECTED: (154, 161, 173),
-}
-# Share by which the selected box's colour is shifted towards white.
-BRIGHTER = 0.45
-DRAFT_COLOR = (255, 214, 10)
-FRUSTUM_COLOR = (200, 204, 212)
 AXIS_COLOR = (255, 59, 48)
 HAIR_PX, THIN_PX, THICK_PX = 1.0, 1.6, 4.0
 # Opacity of a pseudo-view's empty pixels, 0..255.
 EMPTY_ALPHA = 90
+# Farther than any viewer sees, metres.
+FAR_M = 1e9
 # Size of the gizmo, as a share of the selected box's longest side, and its minimum, metres.
 GIZMO_SHARE, GIZMO_LEAST_M = 0.75, 0.08
 
-CLOUD, GUIDES, BOXES, SELECTED, SELECTED_LINES = "/cloud", "/guides", "/boxes", "/selected", "/selected/lines"
+CLOUD, SHADER, GUIDES, BOXES = "/cloud", "/shader", "/guides", "/boxes"
+SELECTED, SELECTED_LINES = "/selected", "/selected/lines"
 FRUSTUM, DRAFT_BOX, AXES = "/draft/frustum", "/draft/box", "/draft/axes"
 
 
@@ -74,6 +68,8 @@ class Scene:
         self._api.configure_environment_map(None)
         self._api.world_axes.visible = False
         self._gizmo: viser.TransformControlsHandle | None = None
+        # A cloud that is never seen. With each new cloud, the browser makes its shader anew unless another one uses it.
+        self._cloud(SHADER, np.full((2, 3), FAR_M, np.float32), np.zeros((2, 3), np.uint8), 0.0)
 
     @property
     def gizmo(self) -> viser.TransformControlsHandle:
@@ -92,12 +88,16 @@ class Scene:
             hold_gizmo: keep the selected box, its gizmo and its handles as they are, during a drag.
         """
         before, self.content = self.content, content
+        is_new_theme = content.theme is not before.theme
         with self._server.atomic():
+            if is_new_theme:
+                configure_theme(self._server, content.theme)
             if content.frame is not before.frame and content.frame is not None:
-                self._ground = find_ground(content.frame.cloud.xyz_m, scene_up(content.frame))
+                self._ground = content.ground or find_ground(content.frame.cloud.xyz_m, scene_up(content.frame))
                 if content.key != before.key:
                     self._reach_m = scene_reach_m(content.frame)
-                lines, colors = guide_lines(content.frame, self._ground, self._reach_m)
+            if content.frame is not None and (content.frame is not before.frame or is_new_theme):
+                lines, colors = guide_lines(content.frame, self._ground, self._reach_m, content.palette)
                 self._lines(GUIDES, lines, _light(colors), HAIR_PX)
             if content.frame is None:
                 self._remove(GUIDES)
@@ -107,7 +107,7 @@ class Scene:
             counts = self._show_cloud(before)
             self._show_boxes()
             self._show_selected(hold_gizmo)
-            if content.draft is not before.draft or content.frame is not before.frame:
+            if content.draft is not before.draft or content.frame is not before.frame or is_new_theme:
                 self._show_draft(content.draft, content.frame)
         self._server.flush()
         return counts
@@ -127,21 +127,28 @@ class Scene:
                 self._remove(CLOUD)
                 return 0, len(frame.cloud)
             self._point_size_m = point_size_m(frame, len(points) / max(len(wanted), 1))
-            self._api.add_point_cloud(
-                CLOUD,
-                points.xyz_m,
-                point_colors(points, content.color, self._ground, content.boxes),
-                point_size=self._point_size_m * content.point_size,
-                point_shape="square",
-                point_shading="flat",
-                precision="float32",
-            )
+            self._cloud(CLOUD, points.xyz_m, self._point_colors(), self._point_size_m * content.point_size)
         elif len(self._points):
             cloud: Any = self._api.get_handle_by_name(CLOUD)
             if content.colors_key != before.colors_key:
-                cloud.colors = point_colors(self._points, content.color, self._ground, content.boxes)
+                cloud.colors = self._point_colors()
             cloud.point_size = self._point_size_m * content.point_size
         return len(self._points), len(frame.cloud)
+
+    def _point_colors(self) -> UInt8[np.ndarray, "n 3"]:
+        content = self.content
+        return point_colors(self._points, content.color, self._ground, content.palette, content.boxes)
+
+    def _cloud(self, name: str, xyz_m: np.ndarray, colors: UInt8[np.ndarray, "n 3"], size_m: float) -> None:
+        self._api.add_point_cloud(
+            name,
+            xyz_m,
+            colors,
+            point_size=size_m,
+            point_shape="square",
+            point_shading="flat",
+            precision="float32",
+        )
 
     # --- boxes -----------------------------------------------------------------------------------------------------
 
@@ -155,7 +162,7 @@ class Scene:
             return
         lines = [placed_box_lines(shown.box) for shown in rest]
         colors = [
-            np.broadcast_to(_light(shown.color or STATE_COLORS[shown.state]), part.shape)
+            np.broadcast_to(_light(shown.color or self.content.palette.states[shown.state]), part.shape)
             for shown, part in zip(rest, lines, strict=True)
         ]
         self._lines(BOXES, np.concatenate(lines), np.concatenate(colors), THIN_PX)
@@ -177,8 +184,10 @@ class Scene:
         """Draws the selected box, with its gizmo and handles, as this one."""
         selected, gizmo = self.content.selected_box, self.gizmo
         assert selected is not None
-        color = _light(_brighter(selected.color or STATE_COLORS[selected.state]))
-        self._lines(SELECTED_LINES, box_lines(box.size_m), color, THICK_PX)
+        color = _light(_selected(selected.color or self.content.palette.states[selected.state], self.content.palette))
+        lines = box_lines(box.size_m)
+        # a colour for each end, as all lines have, so that they share a shader
+        self._lines(SELECTED_LINES, lines, np.broadcast_to(color, lines.shape), THICK_PX)
         gizmo.scale = max(GIZMO_SHARE * float(box.size_m.max()), GIZMO_LEAST_M)
         gizmo.position = box.center_m
         gizmo.wxyz = box.T_camera_box.rotation.as_quat(scalar_first=True)
@@ -199,11 +208,11 @@ class Scene:
         if draft is None or frame is None:
             self._remove("/draft")
             return
-        self._lines(FRUSTUM, frustum_lines(frame, draft.image_box), _light(FRUSTUM_COLOR), THIN_PX)
+        self._lines(FRUSTUM, frustum_lines(frame, draft.image_box), _light(self.content.palette.frustum), THIN_PX)
         if draft.box is None:
             self._remove(DRAFT_BOX)
         else:
-            self._lines(DRAFT_BOX, placed_box_lines(draft.box), _light(DRAFT_COLOR), THICK_PX)
+            self._lines(DRAFT_BOX, placed_box_lines(draft.box), _light(self.content.palette.draft), THICK_PX)
         self._show_views(draft)
 
     def _show_views(self, draft: Draft) -> None:
@@ -268,12 +277,13 @@ def _move(camera: viser.CameraHandle | viser.InitialCameraConfig, up: str, to: S
     camera.fov, camera.position, camera.look_at = to.fov_rad, to.position_m, to.look_at_m
 
 
-def _brighter(color: tuple[int, int, int]) -> tuple[int, int, int]:
-    red, green, blue = (round(level + BRIGHTER * (255 - level)) for level in color)
+def _selected(color: Color, palette: Palette) -> Color:
+    level, share = palette.selected
+    red, green, blue = (round(old + share * (level - old)) for old in color)
     return red, green, blue
 
 
-def _light(color: tuple[int, int, int] | UInt8[np.ndarray, "*k 3"]) -> UInt8[np.ndarray, "*k 3"]:
+def _light(color: Color | UInt8[np.ndarray, "*k 3"]) -> UInt8[np.ndarray, "*k 3"]:
     """An sRGB colour as linear light, which the browser's line shader expects."""
     return np.round(255 * (np.array(color) / 255) ** 2.2).astype(np.uint8)
 

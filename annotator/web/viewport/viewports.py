@@ -26,11 +26,11 @@ from annotator.web.schemas import MOST_BOXES, Axes, Box2DJson, Box3DJson, ClassN
 from annotator.web.viewport.drawing import MOST_POINTS, Draft, Gizmo, PointColor, SceneContent, ShownBox, pick
 from annotator.web.viewport.faces import moved_face
 from annotator.web.viewport.guides import Look
+from annotator.web.viewport.palette import Theme
 from annotator.web.viewport.scene import Scene
 from annotator.web.viewport.viser_page import ViserPage, forward_http, forward_socket
 from annotator.workflows.workbench.drawing_steps import label_object
 from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.frame_state import seen_labels
 
 if TYPE_CHECKING:
     import viser
@@ -272,6 +272,7 @@ class SceneRequest(Schema):
     most_height: Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)] | None = None
     only_selected: bool = False
     look: Look | None = None
+    theme: Theme = Theme.DARK
 
 
 class SceneAnswer(Schema):
@@ -331,7 +332,7 @@ async def viser_socket(id: str, socket: WebSocket, operator: Operator, viewports
 def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> SceneContent:
     opened = ctx.caches.frames.open(project, frame_id)
     page = read_page(project, frame_id)
-    labels = [stored.label for stored, _ in seen_labels(page, opened)]
+    labels = [stored.label for stored in page.labels]
     return SceneContent(
         key=(project.path.name, page.frame.recording_id),
         frame=opened.frame,
@@ -346,6 +347,8 @@ def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> S
         most_height_m=body.most_height,
         only_selected=body.only_selected,
         look=body.look,
+        theme=body.theme,
+        ground=opened.ground,
     )
 
 

@@ -21,6 +21,8 @@ from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.protocol import State
 from websockets.typing import Origin, Subprotocol
 
+from annotator.web.viewport.palette import Theme
+
 if TYPE_CHECKING:
     import viser
 
@@ -117,11 +119,16 @@ class ViserPage:
         self.origin = f"annotator://{secrets.token_hex(16)}"
         self._server = start_viser(HOST, self.origin)
         self.port = self._server.get_port()
-        self._server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+        configure_theme(self._server, Theme.DARK)
 
     def close(self) -> None:
         """Stops the server, which disconnects its browsers."""
         self._server.stop()
+
+
+def configure_theme(server: viser.ViserServer, theme: Theme) -> None:
+    """The background of a viser page, without anything of viser's own."""
+    server.gui.configure_theme(dark_mode=theme is Theme.DARK, show_logo=False, show_share_button=False)
 
 
 async def forward_http(request: Request, viewport: ViserPage, path: str) -> Response:

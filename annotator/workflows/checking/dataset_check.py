@@ -18,6 +18,7 @@ import numpy as np
 from annotator.formats.rcv import MANIFEST
 from annotator.formats.reading import Angles
 from annotator.geometry.oriented_box import contains
+from annotator.recordings.poses import survey_poses
 from annotator.types import Frame, OrientedBox, ReviewState
 from annotator.types.bases import Strict
 from annotator.types.errors import AnnotatorError, FormatError, UnclearError, UnitError, UnitKind
@@ -27,6 +28,7 @@ from annotator.workflows.checking import label_rules
 from annotator.workflows.checking.alignment import FRAMES, Alignment
 from annotator.workflows.checking.findings import Finding, Findings, Rule, Severity
 from annotator.workflows.checking.sources import OtherSoftwareDataset, Source, find_sources, stray_names
+from annotator.workflows.checking.still_world import StillWorld
 from annotator.workflows.importing.report import SizeDoubts
 from annotator.workflows.recorded import reading
 
@@ -100,11 +102,13 @@ class DatasetCheck:
         """
         recording, source = self.source.recording, self.source
         keys, has_labels = recording.keys, source.has_labels
+        still = StillWorld(recording)
         chosen = set(np.linspace(0, len(keys) - 1, min(len(keys), FRAMES)).astype(int).tolist())
         for index, key in enumerate(keys):
             frame = self._read(index, key)
             if frame is not None:
                 self._frame(index, key, frame)
+                still.add(index, frame)
                 if index in chosen and source.has_pictures:
                     self.alignment.add(frame)
             if has_labels:
@@ -116,8 +120,20 @@ class DatasetCheck:
                 self.findings.add(rules.STRAY_FILE, file, f"there is no frame {name}", line=line, frame=name)
         except FormatError as error:  # a list that is not text
             self.findings.add_error(rules.UNREADABLE_FILE, error, recording.path)
+        self._poses(still)
         self._whole_dataset()
         return DatasetFacts(path=str(recording.path), format=recording.format, frames=len(keys), labels=len(self.found))
+
+    def _poses(self, still: StillWorld) -> None:
+        path = self.source.recording.path
+        report = survey_poses(self.source.recording)
+        for rule, messages in (
+            () if report is None else ((rules.POSE_GAP, report.gaps), (rules.POSE_JUMP, report.jumps))
+        ):
+            for message in messages:
+                self.findings.add(rule, path, message)
+        if (problem := still.problem()) is not None:
+            self.findings.add(rules.STILL_WORLD_MOVES, path, problem)
 
     def _read(self, index: int, key: str) -> Frame | None:
         try:

@@ -96,6 +96,11 @@ BOXES_OFF_IMAGE = _error("boxes-off-image")
 CALIBRATION_OFF = _warning("calibration-off")
 TIME_BACKWARDS = _warning("time-backwards")
 
+# Poses
+POSE_GAP = _note("pose-gap")
+POSE_JUMP = _warning("pose-jump")
+STILL_WORLD_MOVES = _warning("still-world-moves")
+
 
 class Finding(Strict):
     """One finding.

@@ -16,6 +16,7 @@ from annotator.types import Frame, Label, OrientedBox
 from annotator.types.errors import ConfigError
 from annotator.workflows.tracks.propose_boxes import (
     Changed,
+    around,
     label_of,
     page_at,
     proposal_events,
@@ -68,7 +69,7 @@ def copy_next(
     is_new = label.track_id is None
     track_id = project.labels.next_track_id(frame.recording_id) if label.track_id is None else label.track_id
     proposal = proposal_like(label, box, track_id, origin=Origin.COPIED)
-    events = proposal_events(project, next_frame, [proposal])
+    events = proposal_events(around(project, next_frame, [proposal]), next_frame, [proposal])
     if not events:
         why = why_left_out(proposal, read_page(project, next_frame.id).labels)
         raise ConfigError(f"nothing was proposed in frame {next_frame.key}: {why}")

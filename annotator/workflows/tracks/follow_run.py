@@ -26,6 +26,7 @@ from annotator.workflows.tracks.follow_objects import (
     between,
 )
 from annotator.workflows.tracks.propose_boxes import (
+    around,
     blocking,
     label_of,
     page_at,
@@ -247,7 +248,7 @@ class FollowRun:
         proposed: list[tuple[int, int | None, str]] = []
         for index, proposals in new.items():
             if not read[index].finalised:
-                payloads[index] = proposal_events(project, read[index], proposals)
+                payloads[index] = proposal_events(around(project, read[index], proposals), read[index], proposals)
                 proposed += [(index, e.track_id, e.uid) for e in payloads[index] if isinstance(e, NewLabel)]
         with_boxes = {track_id for _, track_id, _ in proposed}
         given = {track_id for track_id in untracked if track_id in with_boxes or owners[track_id].met}

@@ -1,26 +1,31 @@
-"""Key frames: a corrected box moves the unreviewed boxes of its track along, and an operator carries it on.
+"""Key frames: a corrected box moves the unreviewed boxes of its track along, up to the next reviewed one on each side.
 
-Between a corrected box and the next reviewed one on each side, an unreviewed box changes as the interpolation between
-these two has changed: beside the corrected box by nearly all of it, beside the reviewed one by nearly nothing. So boxes
-that were interpolated are interpolated again, and those that were found keep what was found. Where the box beside is
-nearer to the new interpolation than to the old one, only the corrected box was wrong, and that side stays. Shares are
-by the frames' indices.
+Towards a reviewed box, an unreviewed one changes as the interpolation between the two has changed: beside the corrected
+box by nearly all of it, beside the reviewed one by nearly nothing. So boxes that were interpolated are interpolated
+again, and those that were found keep what was found. Where no reviewed box follows, the boxes up to the end of the
+track change like the corrected one, since what was followed from a wrong box is as wrong; but no further than up to the
+first that is right already.
+
+Where the boxes beside fit the corrected box better than the one before, only that one was wrong, and that side stays.
+Shares are by the frames' times if these are recorded, else by their indices.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from annotator.geometry.oriented_box import box_corners, same_box
-from annotator.project import REVIEWED, Effort, Project, StoredFrame, StoredLabel
+from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel
 from annotator.project.changes import Payload
 from annotator.rcv.axes import with_axes_like
+from annotator.tracking.link import MOTION_BOXES, predicted
 from annotator.tracking.smooth import are_upright, between, nearest_change, relabelled, relabellings
 from annotator.types import OrientedBox, ReviewState
-from annotator.types.errors import ConfigError
-from annotator.workflows.tracks.propose_boxes import Changed, changed_box, is_finalised, label_of, page_at, write
+from annotator.types.errors import RecordingError
+from annotator.workflows.tracks.propose_boxes import Surroundings, changed_box
+from annotator.workflows.tracks.timeline import OpenRecording, Timeline
 
 MIN_SIZE_M = 0.01
 
@@ -28,62 +33,43 @@ Moved = list[tuple[StoredFrame, list[Payload]]]
 """Frames, and what changes in each."""
 
 
-def moved_along(project: Project, frame: StoredFrame, stored: StoredLabel, now: OrientedBox) -> Moved:
-    """What the correction of a box changes in other frames, up to the next reviewed box of its track on each side.
+def moved_along(
+    project: Project,
+    frame: StoredFrame,
+    stored: StoredLabel,
+    now: OrientedBox,
+    recordings: OpenRecording | None = None,
+) -> Moved:
+    """What the correction of a box changes in other frames.
 
     Args:
         frame: the box's frame.
         stored: the box before it was corrected.
     """
-    was = stored.label.box
-    if stored.label.track_id is None or stored.label.state is ReviewState.REJECTED or frame.index is None:
+    was, track_id = stored.label.box, stored.label.track_id
+    if track_id is None or stored.label.state is ReviewState.REJECTED or frame.index is None or same_box(was, now):
         return []
-    if same_box(was, now) or stored.still is not None or not project.recordings.get(frame.recording_id).is_sequence:
+    if stored.still is not None or not project.recordings.get(frame.recording_id).is_sequence:
         return []
-    moved: Moved = []
-    for boxes, end in _sides(project, frame, stored):
-        if not boxes or end is None or end[0].index is None:
-            continue
-        away = [float(abs((each.index or 0) - frame.index)) for each, _ in boxes]
-        whole = float(abs(end[0].index - frame.index))
-        change = _relabelling(was, now)
-        before, after = (between(box, end[1].label.box, 0.0, whole, away) for box in (relabelled(was, change), now))
-        nearest = boxes[0][1].label.box
-        if _apart(nearest, after[0]) < _apart(nearest, relabelled(before[0], change.T)):
-            continue
-        moved += _changed(project, boxes, [(relabelled(b, change.T), a) for b, a in zip(before, after, strict=True)])
-    return moved
-
-
-def carry_correction(
-    project: Project,
-    frame_id: int,
-    uid: str,
-    revision: int,
-    was: OrientedBox,
-    author: str,
-    *,
-    effort: Effort | None = None,
-) -> Changed:
-    """Changes the open proposals of a track after its last reviewed box as that one was changed."""
-    page = page_at(project, frame_id, revision)
-    frame, stored = page.frame, label_of(page, uid)
-    label = stored.label
-    if label.state not in REVIEWED:
-        raise ConfigError("only a reviewed box says how the later ones are to be corrected; correct this one first")
-    if label.track_id is None:
-        raise ConfigError("the box belongs to no track; enter a track id, or follow it")
-    if same_box(was, label.box):
-        raise ConfigError("this box was not corrected, so there is nothing to do alike; correct it first")
-    _, (boxes, end) = _sides(project, frame, stored)
-    if end is not None:
-        raise ConfigError(
-            f"track {label.track_id} has a reviewed box in frame {end[0].key}: the boxes up to there have moved with "
-            "the correction; those after it follow that box"
-        )
-    if not (changes := _changed(project, boxes, [(was, label.box)] * len(boxes))):
-        raise ConfigError(f"track {label.track_id} has no later proposal to correct")
-    return write(project, changes, author, effort)
+    along = project.labels.along(frame.recording_id, tracks=[track_id])
+    along = tuple(each for each in along if each.label.state is not ReviewState.REJECTED)
+    place = next(n for n, each in enumerate(along) if each.label.uid == stored.label.uid)
+    sides = [_until_reviewed(side) for side in (along[:place][::-1], along[place + 1 :])]
+    if not any(boxes for boxes, _ in sides):
+        return []
+    frames = {each.id: each for each in project.frames.of([frame.recording_id])}
+    times = _times(project, frame.recording_id, frames, recordings)
+    new: list[tuple[StoredFrame, StoredLabel, OrientedBox]] = []
+    for boxes, end in sides:
+        present = [each for each in boxes if each.frame_id in times]
+        for each, change in _changes(present, end, was, now, times, times[frame.id]):
+            new.append((frames[each.frame_id], each, corrected_alike(each.label.box, *change)))
+    there = Surroundings(project, [(at, box, track_id) for at, _, box in new])
+    return [
+        (at, events)
+        for at, each, box in new
+        if not there.is_finalised(at, each) and (events := changed_box(there, at, each, box=box))
+    ]
 
 
 def corrected_alike(box: OrientedBox, was: OrientedBox, now: OrientedBox) -> OrientedBox:
@@ -101,45 +87,62 @@ def corrected_alike(box: OrientedBox, was: OrientedBox, now: OrientedBox) -> Ori
     return OrientedBox.from_parts(turned.center_m, turned.rotation, np.maximum(size_m, MIN_SIZE_M))
 
 
-At = tuple[StoredFrame, StoredLabel]
+def _until_reviewed(side: Sequence[StoredLabel]) -> tuple[list[StoredLabel], StoredLabel | None]:
+    """The open boxes of a side, the nearest first, and the reviewed box where they end, if there is one."""
+    ends = (n for n, each in enumerate(side) if each.label.state in REVIEWED)
+    first = next(ends, None)
+    return list(side[:first]), None if first is None else side[first]
 
 
-def _sides(project: Project, frame: StoredFrame, stored: StoredLabel) -> Iterator[tuple[list[At], At | None]]:
-    """Yields the open proposals of a track before a box of it, the nearest first, and the reviewed box where they end,
-    if there is one; then those after it. Those in finalised frames are left out."""
-    track_id = stored.label.track_id
-    assert track_id is not None
-    along = [
-        each
-        for each in project.labels.along(frame.recording_id, tracks=[track_id])
-        if each.label.state is not ReviewState.REJECTED
-    ]
-    place = next(n for n, each in enumerate(along) if each.label.uid == stored.label.uid)
-    for side in (along[:place][::-1], along[place + 1 :]):
-        boxes: list[At] = []
-        end: At | None = None
-        for each in side:
-            at = project.frames.get(each.frame_id)
-            if each.label.state in REVIEWED:
-                end = at, each
-                break
-            if at.index is not None and not is_finalised(project, at, each):
-                boxes.append((at, each))
-        yield boxes, end
+def _times(
+    project: Project, recording_id: int, frames: Mapping[int, StoredFrame], recordings: OpenRecording | None
+) -> dict[int, float]:
+    """The times of a recording's frames by their ids, in any unit, without those that are no longer in it."""
+    try:
+        timeline = Timeline(project, recording_id, recordings)
+    except RecordingError:  # boxes can be corrected while its files are away
+        return {id: float(frame.index) for id, frame in frames.items() if frame.index is not None}
+    return {id: float(timeline.times[index]) for id, index in timeline.index.items()}
 
 
-def _changed(project: Project, boxes: Sequence[At], changes: Sequence[tuple[OrientedBox, OrientedBox]]) -> Moved:
-    """The boxes, each changed as another one (before, after)."""
-    found = [
-        (frame, changed_box(project, frame, each, box=corrected_alike(each.label.box, was, now)))
-        for (frame, each), (was, now) in zip(boxes, changes, strict=True)
-    ]
-    return [(frame, events) for frame, events in found if events]
+Change = tuple[OrientedBox, OrientedBox]
 
 
-def _relabelling(was: OrientedBox, now: OrientedBox) -> np.ndarray:
-    """Of a turn by 90 or 180 degrees: the part that is not shared, since half of it would be wrong everywhere."""
-    return nearest_change(was, now, relabellings(are_upright([was, now])))
+def _changes(
+    boxes: Sequence[StoredLabel],
+    end: StoredLabel | None,
+    was: OrientedBox,
+    now: OrientedBox,
+    times: Mapping[int, float],
+    time: float,
+) -> list[tuple[StoredLabel, Change]]:
+    """The boxes of a side, each with the change (before, after) that it is to follow; empty if that side stays."""
+    if not boxes or (end is not None and end.frame_id not in times):
+        return []
+    beside = [each.label.box for each in boxes]
+    away = [abs(times[each.frame_id] - time) for each in boxes]
+    if end is None:
+        return [(each, (was, now)) for each in boxes[: _alike(beside, away, was, now)]]
+    whole = abs(times[end.frame_id] - time)
+    # of a turn by 90 or 180 degrees: the part that is not shared, since half of it would be wrong everywhere
+    turn = nearest_change(was, now, relabellings(are_upright([was, now])))
+    before, after = (between(box, end.label.box, 0.0, whole, away) for box in (relabelled(was, turn), now))
+    before = [relabelled(box, turn.T) for box in before]
+    stays = _apart(beside[0], after[0]) < _apart(beside[0], before[0])
+    return [] if stays else list(zip(boxes, zip(before, after, strict=True), strict=True))
+
+
+def _alike(beside: Sequence[OrientedBox], away: Sequence[float], was: OrientedBox, now: OrientedBox) -> int:
+    """The number of boxes, from a corrected one on, that are wrong as it was: up to the first that is right already."""
+    before, times = [was, *beside], [0.0, *away]
+    for n, box in enumerate(beside):
+        # of the first one, the boxes after it tell; of a later one, those before it
+        near = slice(MOTION_BOXES, 0, -1) if n == 0 else slice(max(0, n + 1 - MOTION_BOXES), n + 1)
+        expected = predicted(before[near], times[near], 0.0 if n == 0 else away[n])
+        found, wrong, right = (expected, was, now) if n == 0 else (box, expected, corrected_alike(expected, was, now))
+        if _apart(found, right) < _apart(found, wrong):
+            return n
+    return len(beside)
 
 
 def _apart(one: OrientedBox, other: OrientedBox) -> float:

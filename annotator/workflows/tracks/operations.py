@@ -7,33 +7,30 @@ reviewed box changes only if the count says so. An open proposal does not change
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import same_box
-from annotator.project import REVIEWED, Effort, FramePart, Project, StoredFrame, StoredLabel, WriteContext
-from annotator.project.changes import ChangedValues, LabelChanged, LabelDeleted, Payload
+from annotator.project import REVIEWED, Effort, Project, StoredFrame, StoredLabel, WriteContext, new_action
+from annotator.project.changes import ChangedValues, LabelChanged, LabelDeleted, NewLabel, Payload
 from annotator.project.classes.attributes import Attribute, AttributeOf
-from annotator.project.overview import read_page
+from annotator.project.lanes import read_lanes
+from annotator.tracking.link import MAX_GAP, MOTION_BOXES, predicted
 from annotator.tracking.smooth import between
-from annotator.types import Label, OrientedBox, ReviewState
+from annotator.types import OrientedBox, ReviewState
 from annotator.types.bases import Strict, TrackId
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.types.label import MOST_TRACK, AttributeValue
 from annotator.types.messages import alternatives, amount
-from annotator.workflows.tracks.propose_boxes import changed_box, is_finalised, proposal_events, proposal_like
-from annotator.workflows.tracks.timeline import Timeline
-from annotator.workflows.workbench.drawing_steps import frame_config
-from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.loaded_detectors import ReadyDetector
-from annotator.workflows.workbench.refit import refit
-from annotator.workflows.workbench.save_object import parts_of
+from annotator.workflows.tracks.propose_boxes import Surroundings, changed_box, proposal_events, proposal_like
+from annotator.workflows.tracks.timeline import OpenRecording, Timeline
+from annotator.workflows.workbench.save_object import parts_of_frames
 
 
 class Count(Strict):
@@ -89,49 +86,64 @@ class Step:
 FINALISED, COVERED = Count(finalised=1), Count(covered=1)
 
 
-FitBox = Callable[[StoredFrame, OrientedBox, Label], OrientedBox]
-"""(frame, box, label of the object in another frame) -> the box fitted to the frame's points.
-
-The given box if the fit is rejected, or if the detector measures another kind of box than the label's.
-"""
+def is_rejected(stored: StoredLabel) -> bool:
+    """Whether a person has rejected a box."""
+    return stored.label.state is ReviewState.REJECTED
 
 
 class Track:
-    """A track as a recording sees it, within a span of frames.
+    """A track as a recording sees it, within a span of frames."""
 
-    Attributes:
-        fit: fits the boxes that fill a gap to the points of their frames, or None.
-    """
-
-    def __init__(self, project: Project, recording_id: int, track_id: int, span: Operation, fit: FitBox | None) -> None:
+    def __init__(
+        self, project: Project, recording_id: int, track_id: int, span: Operation, recordings: OpenRecording | None
+    ) -> None:
         recording = project.recordings.get(recording_id)
-        self.project, self.recording_id, self.track_id, self.fit = project, recording_id, track_id, fit
+        self.project, self.recording_id, self.track_id, self.recordings = project, recording_id, track_id, recordings
         self.name = f"track {track_id} of {recording.name}"
         self.frames = {frame.id: frame for frame in project.frames.of([recording_id])}
         if not self.frames:
             raise NotFoundError(f"{recording.name} has no frames in the project")
         self.is_whole = span.first is None and span.last is None
-        places = {id: place for place, id in enumerate(self.frames)}
+        # a frame that is no longer in the recording is neither before nor after another one
+        places = {id: frame.index for id, frame in self.frames.items() if frame.index is not None}
         for end in (span.first, span.last):
             if end is not None and end not in places:
                 raise NotFoundError(f"{recording.name} has no frame with id {end}")
         first = 0 if span.first is None else places[span.first]
-        last = len(places) if span.last is None else places[span.last]
+        last = max(places.values(), default=0) if span.last is None else places[span.last]
         if first > last:
             raise ConfigError("the span ends before it begins; give the earlier frame first")
-        self.inside = {id for id, place in places.items() if first <= place <= last}
+        self.inside = {id for id in self.frames if self.is_whole or first <= places.get(id, -1) <= last}
 
-    def boxes(self, track_id: int | None = None) -> list[tuple[StoredFrame, StoredLabel]]:
-        """Its boxes, or those of another track, in order, without rejected ones."""
-        along = self.project.labels.along(self.recording_id, tracks=[self.track_id if track_id is None else track_id])
-        return [(self.frames[each.frame_id], each) for each in along if each.label.state is not ReviewState.REJECTED]
+    @cached_property
+    def boxes(self) -> list[tuple[StoredFrame, StoredLabel]]:
+        """Its boxes in order, without rejected ones."""
+        return self.boxes_of(self.track_id)
 
-    def each(self, change: Change) -> Iterator[Step]:
+    def boxes_of(self, track_id: int) -> list[tuple[StoredFrame, StoredLabel]]:
+        """The boxes of another track, as `boxes`."""
+        found = dict[str, StoredLabel]()
+        for each in self.project.labels.along(self.recording_id, tracks=[track_id]):
+            if not is_rejected(each):
+                # one that stands still has the same box in all frames
+                found.setdefault(each.still or each.label.uid, each)
+        return [(self.frames[each.frame_id], each) for each in found.values()]
+
+    def in_span(self) -> list[tuple[StoredFrame, StoredLabel]]:
+        """Its boxes in the span."""
+        return [(frame, stored) for frame, stored in self.boxes if frame.id in self.inside]
+
+    def around(self, boxes: Iterable[tuple[StoredFrame, OrientedBox]] | None = None) -> Surroundings:
+        """The surroundings of its boxes in the span, or of others that it is to have."""
+        boxes = ((frame, stored.label.box) for frame, stored in self.in_span()) if boxes is None else boxes
+        return Surroundings(self.project, [(frame, box, self.track_id) for frame, box in boxes])
+
+    def each(self, there: Surroundings, change: Change) -> Iterator[Step]:
         """Yields what a function does to each of its boxes in the span: None, if that one needs no change."""
-        for frame, stored in self.boxes():
-            if frame.id not in self.inside or (events := change(frame, stored)) is None:
+        for frame, stored in self.in_span():
+            if (events := change(frame, stored)) is None:
                 continue
-            if is_finalised(self.project, frame, stored):
+            if there.is_finalised(frame, stored):
                 yield Step(frame, (), FINALISED)
             elif not events:
                 yield Step(frame, (), COVERED)
@@ -165,12 +177,14 @@ class SetClass(_OfSpan):
         if self.label not in classes:
             raise NotFoundError(f"the project has no class {self.label!r}; {alternatives(self.label, classes)}")
 
+        there = track.around()
+
         def change(frame: StoredFrame, stored: StoredLabel) -> Sequence[Payload] | None:
             if stored.label.label == self.label:
                 return None
-            return changed_box(track.project, frame, stored, label=self.label)
+            return changed_box(there, frame, stored, label=self.label)
 
-        return track.each(change)
+        return track.each(there, change)
 
 
 class SetNumber(_OfSpan):
@@ -186,13 +200,12 @@ class SetNumber(_OfSpan):
         number = track.project.labels.next_track_id(track.recording_id) if self.number is None else self.number
         if number == track.track_id:
             raise ConfigError(f"{track.name} has this number already; give another one")
-        there = {frame.id: stored for frame, stored in track.boxes(number)}
+        there = {frame.id: stored for frame, stored in track.boxes_of(number)}
         yield Step(next(iter(track.frames.values())), (), Count(number=number, joined=len(there)))
-        for frame, stored in track.boxes():
-            if frame.id not in track.inside:
-                continue
+        around = track.around()
+        for frame, stored in track.in_span():
             other = there.get(frame.id)
-            if any(is_finalised(track.project, frame, each) for each in (stored, other) if each is not None):
+            if any(around.is_finalised(frame, each) for each in (stored, other) if each is not None):
                 yield Step(frame, (), FINALISED)
                 continue
             numbered = LabelChanged(uid=stored.label.uid, track_id=number)
@@ -206,6 +219,59 @@ class SetNumber(_OfSpan):
                 yield Step(frame, [LabelDeleted(uid=other.label.uid), numbered], count)
 
 
+class Merge(_OfSpan):
+    """As `SetNumber`, with the number of another track; null = that of the likeliest one (`likeliest`)."""
+
+    do: Literal["merge"] = "merge"
+    number: TrackId | None = None
+
+    def steps(self, track: Track) -> Iterator[Step]:
+        number = likeliest(track) if self.number is None else self.number
+        if number is None:
+            raise ConfigError(f"no other part of {track.name} was found; enter the number of the other track")
+        return SetNumber(number=number, first=self.first, last=self.last).steps(track)
+
+
+# So many tracks that are nearest in time are compared.
+MOST_LIKELY = 20
+
+
+def likeliest(track: Track) -> int | None:
+    """The track that is most likely another part of this one's object; None if there is none.
+
+    Tracks of other classes, and those with a box in the same frame, are other objects. Of the rest it is the nearest in
+    place and time: the distance, in lengths of the object, from where this one ends or would be if it had kept its
+    motion; and the frames between, of which `MAX_GAP` count like one length.
+    """
+    lanes = read_lanes(track.project.store, track.recording_id)
+    places = {id: place for place, id in enumerate(lanes.frames)}
+    own = {places[frame.id]: stored.label for frame, stored in track.in_span() if frame.id in places}
+    if not own:
+        return None
+    mine, near = np.array(sorted(own)), list[tuple[int, int, int, int]]()
+    for number, spans in ((lane.track_id, lane.spans) for lane in lanes.lanes if lane.track_id != track.track_id):
+        theirs = np.concatenate([np.arange(span[0], span[1] + 1) for span in spans])
+        after = np.searchsorted(mine, theirs)
+        beside = mine[np.clip([after - 1, after], 0, len(mine) - 1)]
+        apart = np.abs(beside - theirs)
+        row, column = divmod(int(np.argmin(apart)), len(theirs))
+        if number is not None and apart[row, column] > 0:
+            near.append((int(apart[row, column]), number, int(beside[row, column]), int(theirs[column])))
+    near = sorted(near)[:MOST_LIKELY]
+    along = track.project.labels.along(track.recording_id, tracks=[number for _, number, _, _ in near])
+    others = {(each.label.track_id, each.frame_id): each.label for each in along if not is_rejected(each)}
+    costs = dict[int, float]()
+    for gap, number, here, there in near:
+        label, other = own[here], others[number, lanes.frames[there]]
+        if other.label == label.label:
+            order = mine[mine <= here] if there > here else mine[mine >= here][::-1]
+            known = order[-MOTION_BOXES:].tolist()
+            moved = predicted([own[place].box for place in known], [float(place) for place in known], float(there))
+            apart_m = min(float(np.linalg.norm(box.center_m - other.box.center_m)) for box in (label.box, moved))
+            costs[number] = apart_m / float(label.box.size_m.max()) + gap / MAX_GAP
+    return min(costs, key=lambda number: costs[number], default=None)
+
+
 Length = Annotated[float, Field(ge=1e-4, le=1e4, allow_inf_nan=False)]
 
 
@@ -216,11 +282,14 @@ class SetSize(_OfSpan):
     size_m: tuple[Length, Length, Length]
 
     def steps(self, track: Track) -> Iterator[Step]:
-        def change(frame: StoredFrame, stored: StoredLabel) -> Sequence[Payload] | None:
-            box = resized(stored.label.box, self.size_m)
-            return None if same_box(box, stored.label.box) else changed_box(track.project, frame, stored, box=box)
+        boxes = {frame.id: resized(stored.label.box, self.size_m) for frame, stored in track.in_span()}
+        there = track.around((track.frames[id], box) for id, box in boxes.items())
 
-        return track.each(change)
+        def change(frame: StoredFrame, stored: StoredLabel) -> Sequence[Payload] | None:
+            box = boxes[frame.id]
+            return None if same_box(box, stored.label.box) else changed_box(there, frame, stored, box=box)
+
+        return track.each(there, change)
 
 
 def resized(box: OrientedBox, size_m: Sequence[float]) -> OrientedBox:
@@ -253,7 +322,12 @@ class SetValues(_OfSpan):
             }
             return [LabelChanged(uid=label.uid, attributes=new)] if new else None
 
-        return track.each(change)
+        return track.each(track.around(), change)
+
+    def is_of_tracks(self, track: Track) -> bool:
+        """Whether all values are of attributes of tracks."""
+        of_tracks = {each.name for each in track.project.config.attributes if each.of is AttributeOf.TRACK}
+        return self.values.keys() <= of_tracks
 
     def _checked(self, known: dict[str, Attribute], name: str, track: Track) -> AttributeValue | None:
         if name not in known:
@@ -273,52 +347,77 @@ class Delete(_OfSpan):
     do: Literal["delete"] = "delete"
 
     def steps(self, track: Track) -> Iterator[Step]:
-        for step in track.each(lambda _, stored: [LabelDeleted(uid=stored.label.uid)]):
+        for step in track.each(track.around(), lambda _, stored: [LabelDeleted(uid=stored.label.uid)]):
             yield replace(step, count=step.count.model_copy(update={"changed": 0, "deleted": step.count.changed}))
 
 
 class Fill(_OfSpan):
     """A box is proposed in each frame that has none and is between two boxes of the track.
 
-    Centre, size and rotation are interpolated by the frames' times if they are recorded, else by their indices; with
-    `refit`, each box is fitted to the points of its frame.
+    Centre, size and rotation are interpolated by the frames' times if they are recorded, else by their indices. With
+    `refit`, whoever applies it then fits each box to the points of its frame (`refit_run`), which takes longer.
     """
 
     do: Literal["fill"] = "fill"
     refit: bool = False
 
     def steps(self, track: Track) -> Iterator[Step]:
-        timeline = Timeline(track.project, track.recording_id)
+        timeline = Timeline(track.project, track.recording_id, track.recordings)
         times = timeline.times.tolist()
-        boxes = [(timeline.index[frame.id], each) for frame, each in track.boxes() if frame.id in timeline.index]
+        boxes = [(timeline.index[frame.id], each) for frame, each in track.boxes if frame.id in timeline.index]
+        filled: list[tuple[StoredFrame, NewLabel]] = []
         for (start, before), (end, after) in pairwise(boxes):
             gap = [place for place in range(start + 1, end) if timeline.frames[place].id in track.inside]
             ends = times[start], times[end]
-            filled = between(before.label.box, after.label.box, *ends, [times[place] for place in gap])
-            for place, box in zip(gap, filled, strict=True):
-                frame = timeline.frames[place]
-                if frame.finalised:
-                    yield Step(frame, (), FINALISED)
-                    continue
+            new = between(before.label.box, after.label.box, *ends, [times[place] for place in gap])
+            for place, box in zip(gap, new, strict=True):
                 # the values of the box that is nearer in time
                 is_later = times[place] - ends[0] > ends[1] - times[place] and after.label.label == before.label.label
                 values = (after if is_later else before).label.attributes
-                new = proposal_like(before.label, box, track.track_id, attributes=values)
-                if not (events := proposal_events(track.project, frame, [new])):
-                    yield Step(frame, (), COVERED)
-                    continue
-                gone = sum(isinstance(each, LabelDeleted) for each in events)
-                if self.refit and track.fit is not None:
-                    fitted = replace(new, box=track.fit(frame, box, before.label))
-                    events = proposal_events(track.project, frame, [fitted]) or events
+                proposal = proposal_like(before.label, box, track.track_id, attributes=values)
+                filled.append((timeline.frames[place], proposal))
+        there = track.around((frame, each.box) for frame, each in filled)
+        for frame, each in filled:
+            if frame.finalised:
+                yield Step(frame, (), FINALISED)
+            elif events := proposal_events(there, frame, [each]):
+                gone = sum(isinstance(event, LabelDeleted) for event in events)
                 yield Step(frame, events, Count(proposed=1, deleted=gone))
+            else:
+                yield Step(frame, (), COVERED)
 
 
-Operation = SetClass | SetNumber | SetSize | SetValues | Delete | Fill
+Operation = SetClass | SetNumber | Merge | SetSize | SetValues | Delete | Fill
 AnyOperation = Annotated[Operation, Field(discriminator="do")]
 
 # Attempts to apply an operation to frames that change at the same time.
 ATTEMPTS = 5
+
+
+@dataclass(frozen=True)
+class Done:
+    """What an operation has done, or would do.
+
+    Attributes:
+        action: its id.
+        changes: of each changed frame, by its id.
+    """
+
+    count: Count
+    action: str
+    changes: tuple[tuple[int, Sequence[Payload]], ...]
+
+
+def _require_moving(track: Track, operation: Operation) -> None:
+    """Refuses what an object that stands still cannot have: parts, another number, and gaps."""
+    boxes, is_numbered = list(track.boxes), isinstance(operation, SetNumber)
+    if isinstance(operation, SetNumber) and operation.number is not None:
+        boxes += track.boxes_of(operation.number)
+    if (is_numbered or isinstance(operation, Fill) or not track.is_whole) and any(each.still for _, each in boxes):
+        raise ConfigError(
+            f"{track.name} has one box in all frames, as an object that stands still, and keeps its number; say first "
+            "that it moves (`annotator tracks moving`)"
+        )
 
 
 def apply(
@@ -330,15 +429,14 @@ def apply(
     *,
     dry_run: bool = False,
     told: Count | None = None,
-    fit: FitBox | None = None,
     effort: Effort | None = None,
     at: int | None = None,
-) -> Count:
+    recordings: OpenRecording | None = None,
+) -> Done:
     """Applies an operation to a track, as one action; returns what it has done, or (`dry_run`) would do.
 
     Args:
         told: the count that the operator was told; nothing changes if it is another one by now.
-        fit: for `Fill.refit`.
         at: the frame in which the operator is: an undo comes back to it.
 
     Raises:
@@ -350,25 +448,30 @@ def apply(
     new_track = isinstance(operation, SetNumber) and operation.number is None
     for _ in range(ATTEMPTS):
         with project.store.snapshot():
-            track = Track(project, recording_id, track_id, operation, None if dry_run else fit)
+            track = Track(project, recording_id, track_id, operation, recordings)
+            _require_moving(track, operation)
             steps = list(operation.steps(track))
             count = _sum([step.count for step in steps])
             if not (count.changed or count.proposed or count.deleted):
                 raise ConfigError(_nothing(track, operation, count))
             if told is not None and told != count:
                 raise ConfigError(f"{track.name} was changed in the meantime: this now {count.words()}; look again")
+            done = Done(count, new_action(), tuple((step.frame.id, step.events) for step in steps if step.events))
             if dry_run:
-                return count
+                return done
             changed = sorted((step for step in steps if step.events), key=lambda step: step.frame.id != at)
-            parts: list[FramePart] = []
-            for step in changed:
-                context = WriteContext(step.frame.revision, author, effort=None if parts else effort)
-                parts += parts_of(project, read_page(project, step.frame.id), step.events, context)
+            changes = [(step.frame, step.events) for step in changed]
+            # what follows from another label of the track does not keep a proposal from being replaced
+            first = changes[0][1][0]
+            is_along = isinstance(operation, SetValues) and operation.is_of_tracks(track)
+            target = first.uid if is_along and isinstance(first, LabelChanged) else None
+            parts = parts_of_frames(project, changes, WriteContext(0, author, effort=effort, effort_target=target))
         try:
-            project.log.append_to_frames(parts, new_tracks=[count.number] if new_track and count.number else [])
+            new_tracks = [count.number] if new_track and count.number else []
+            project.log.append_to_frames(parts, done.action, new_tracks)
         except StaleRevisionError:
             continue
-        return count
+        return done
     raise ConfigError(f"{track.name} is being changed by others; try again once they have finished")
 
 
@@ -379,34 +482,9 @@ def _sum(counts: Sequence[Count]) -> Count:
 
 
 def _nothing(track: Track, operation: Operation, count: Count) -> str:
-    if not track.boxes():
+    if not track.boxes:
         return f"{track.name} has no boxes"
     if isinstance(operation, Fill) and not count.left():
         return f"{track.name} has no frame without a box between two of its boxes there"
     left = f" (unchanged: {count.left()})" if count.left() else ""
     return f"there is nothing to change: {track.name} has no box in these frames, or all are so already{left}"
-
-
-# 3D IoU of the fitted with the given box below which the fit is rejected: it has found another object, or a part.
-MIN_IOU = 0.4
-
-
-def box_fitter(
-    project: Project, open_frame: Callable[[StoredFrame], OpenFrame], detector: ReadyDetector | None
-) -> FitBox:
-    """Returns a function that fits boxes with `refit`.
-
-    Args:
-        open_frame: returns a frame; its errors are passed on.
-        detector: for pseudo-views; without one the sides move to the points inside.
-    """
-
-    def fit(frame: StoredFrame, box: OrientedBox, label: Label) -> OrientedBox:
-        opened = open_frame(frame)
-        config = frame_config(project, opened.frame, detector, label.box_kind)
-        if detector is not None and config.box_kind is not label.box_kind:
-            return box
-        fitted = refit(opened, box, label.label, config, detector).box or box
-        return fitted if iou_3d(fitted, box) >= MIN_IOU else box
-
-    return fit

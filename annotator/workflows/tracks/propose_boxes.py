@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,47 @@ Changed = tuple[tuple[int, Receipt], ...]
 """The changed frames: (frame id, receipt) each."""
 
 
+Placed = tuple[StoredFrame, OrientedBox, int | None]
+"""A box that is to be in a frame, and its track."""
+
+
+class Surroundings:
+    """What is where boxes are to be, before the change: read for all of them together, when it is first needed."""
+
+    def __init__(self, project: Project, boxes: Sequence[Placed]) -> None:
+        """
+        Args:
+            boxes: in frames of one recording.
+        """
+        self._project, self._boxes = project, boxes
+
+    def labels(self, frame: StoredFrame) -> tuple[StoredLabel, ...]:
+        """The labels of a frame that may touch one of the boxes there, or are of its track."""
+        return self._labels.get(frame.id, ())
+
+    def is_finalised(self, frame: StoredFrame, stored: StoredLabel) -> bool:
+        """Whether a label is in a finalised frame: where it is seen, or where it was made."""
+        return frame.finalised or (not stored.is_own and stored.made_in in self._finalised)
+
+    @cached_property
+    def kept(self) -> frozenset[str]:
+        """Uids of the proposals that no automatic pass replaces."""
+        return self._project.labels.kept(*(frame.id for frame, _, _ in self._boxes))
+
+    @cached_property
+    def _labels(self) -> dict[int, tuple[StoredLabel, ...]]:
+        return self._project.labels.near((frame.id, box, track_id) for frame, box, track_id in self._boxes)
+
+    @cached_property
+    def _finalised(self) -> frozenset[int]:
+        return self._project.frames.finalised(self._boxes[0][0].recording_id)
+
+
+def around(project: Project, frame: StoredFrame, boxes: Sequence[NewLabel]) -> Surroundings:
+    """The surroundings of new boxes in one frame."""
+    return Surroundings(project, [(frame, each.box, each.track_id) for each in boxes])
+
+
 def proposal_like(label: Label, box: OrientedBox, track_id: int | None, **more: Any) -> NewLabel:
     """A proposal of a label's object at another box, with its class, kind of box and values."""
     values = {"box_kind": label.box_kind, "attributes": label.attributes} | more
@@ -29,7 +71,7 @@ def proposal_like(label: Label, box: OrientedBox, track_id: int | None, **more: 
 
 
 def proposal_events(
-    project: Project, frame: StoredFrame, boxes: Sequence[NewLabel], *, where_rejected: bool = False
+    there: Surroundings, frame: StoredFrame, boxes: Sequence[NewLabel], *, where_rejected: bool = False
 ) -> list[Payload]:
     """Returns the events that propose boxes in a frame; empty if all boxes are left out.
 
@@ -39,32 +81,29 @@ def proposal_events(
     them stay.
 
     Args:
-        frame: the frame before the change.
+        there: of the boxes, before the change.
         where_rejected: propose boxes also where a label was rejected.
     """
-    labels = project.labels.of_moment(frame.id)
+    labels = there.labels(frame)
     new = _free(_once(boxes), labels, where_rejected=where_rejected)
+    # those that were made in the finalised frame of another camera stay
+    fixed = [stored for stored in labels if not stored.is_own and there.is_finalised(frame, stored)]
+    new = [box for box in new if not any(_is_replaced(stored, [box]) for stored in fixed)]
     if not new:
         return []
-    replaced = [LabelDeleted(uid=stored.label.uid) for stored in labels if _is_replaced(stored, new)]
-    kept = project.labels.kept(frame.id)
+    replaced = [stored for stored in labels if _is_replaced(stored, new)]
     values = [
         # as set by a person, so that the new proposal is kept, too
         LabelChanged(uid=each.uid, attributes=dict(stored.label.attributes))
-        for stored in labels
+        for stored in replaced
         for each in new
-        if stored.label.uid in kept and stored.label.label == each.label and _is_replaced(stored, [each])
+        if stored.label.uid in there.kept and stored.label.label == each.label and _is_replaced(stored, [each])
     ]
-    return [*replaced, *new, *values]
-
-
-def is_finalised(project: Project, frame: StoredFrame, stored: StoredLabel) -> bool:
-    """Whether a label is in a finalised frame: where it is seen, or where it was made."""
-    return frame.finalised or (not stored.is_own and project.frames.get(stored.made_in).finalised)
+    return [*(LabelDeleted(uid=stored.label.uid) for stored in replaced), *new, *values]
 
 
 def changed_box(
-    project: Project,
+    there: Surroundings,
     frame: StoredFrame,
     stored: StoredLabel,
     *,
@@ -86,9 +125,9 @@ def changed_box(
     new = replace(present, label=label or present.label)
     proposal = proposal_like(new, present.box if box is None else box, present.track_id, said=said)
     if present.source is not Source.AUTO:
-        return proposal_events(project, frame, [proposal])
+        return proposal_events(there, frame, [proposal])
     # One of ours stays the same proposal, so its score, its doubt and the effort for it stay with it.
-    is_free = _free([proposal], project.labels.of_moment(frame.id))
+    is_free = _free([proposal], there.labels(frame))
     return [LabelChanged(uid=present.uid, **given)] if is_free else []
 
 

@@ -26,7 +26,7 @@ from annotator.types.bases import Strict
 from annotator.types.errors import ConfigError, NotFoundError, RecordingError, StaleRevisionError
 from annotator.types.messages import amount
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.tracks.propose_boxes import is_finalised, proposal_like
+from annotator.workflows.tracks.propose_boxes import proposal_like
 
 # 3D IoU from which two boxes are of an object at one place.
 AGREE_IOU = 0.6
@@ -89,15 +89,14 @@ def make_still(
     box = chosen[1].label.box.transformed(T_camera_world[chosen[0].id].inv())
     events: dict[StoredFrame, list[Payload]] = {chosen[0]: [made := StillMade(uid=chosen[1].label.uid)]}
     seen, count = [chosen[0]], defaultdict[str, int](int)
+    finalised = {frame.id for frame in project.frames.of() if frame.finalised}
     for frame, stored in boxes:
         if frame.id == chosen[0].id:
             continue
         state, T = stored.label.state, T_camera_world.get(frame.id)
         agrees = T is not None and iou_3d(stored.label.box, box.transformed(T)) >= AGREE_IOU
-        if is_finalised(project, frame, stored) or (state is not ReviewState.PROPOSED and not agrees):
-            count["exceptions"] += 1
-            continue
-        if state is ReviewState.REJECTED:
+        goes = state is ReviewState.PROPOSED or (state in REVIEWED and agrees)
+        if not goes or {frame.id, stored.made_in} & finalised:
             count["exceptions"] += 1
             continue
         events[frame] = [LabelDeleted(uid=stored.label.uid)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -10,10 +11,14 @@ from jaxtyping import Float64
 
 from annotator.project import REVIEWED, Project, StoredFrame
 from annotator.recordings.frame_times import recorded_times
+from annotator.recordings.recording import Recording
 from annotator.tracking.link import frame_times
 from annotator.types import Frame, Label
 from annotator.types.errors import ConfigError
 from annotator.workflows.frame_source import FrameSource
+
+OpenRecording = Callable[[int], Recording]
+"""Gives the open recording with an id, which may be kept; raises RecordingError if it cannot be opened."""
 
 # Objects that are followed from the same frame need the same frames at about the same time; others read them again.
 FRAMES_KEPT = 4
@@ -45,7 +50,7 @@ class Timeline:
         times: in units of the frame interval, so that dropped frames are gaps; the indices without recorded times.
     """
 
-    def __init__(self, project: Project, recording_id: int) -> None:
+    def __init__(self, project: Project, recording_id: int, recordings: OpenRecording | None = None) -> None:
         stored = project.recordings.get(recording_id)
         if not stored.is_sequence:
             raise ConfigError(
@@ -57,7 +62,7 @@ class Timeline:
         )
         self.index = {frame.id: index for index, frame in enumerate(self.frames)}
         source, frames = FrameSource(project), self.frames
-        self.recording = source.recording(recording_id)
+        self.recording = (recordings or source.recording)(recording_id)
         times_ns = recorded_times(self.recording)
         self.times: Float64[np.ndarray, "n"] = (
             np.array([float(frame.index or 0) for frame in self.frames])

@@ -14,13 +14,15 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Int64
 
+from annotator.geometry.ground import Ground, find_ground
 from annotator.geometry.normals import normals_from_depth
 from annotator.geometry.oriented_box import contains
+from annotator.geometry.transforms import IMAGE_UP
 from annotator.image_bytes import encoded_image
 from annotator.project import Project, StoredFrame
 from annotator.project.overview import neighbours
 from annotator.recordings import Recording
-from annotator.types import Frame, OrientedBox, PseudoView
+from annotator.types import Camera, Frame, OrientedBox, PseudoView
 from annotator.types.errors import AnnotatorError, FrameError
 from annotator.workflows.frame_source import FrameSource
 
@@ -73,7 +75,7 @@ class OpenFrame:
     def __init__(self, frame: Frame, adjusted: int = 0) -> None:
         self.frame = frame
         self.adjusted = adjusted
-        self._whole, self._results = Memo(2), Memo(MAX_RESULTS)
+        self._whole, self._results = Memo(3), Memo(MAX_RESULTS)
         self._counts: dict[bytes, int] = {}
 
     @property
@@ -92,6 +94,12 @@ class OpenFrame:
     def with_normals(self) -> Frame:
         """The frame with normals from its depth image; unchanged if it has normals already or no depth image."""
         return self._whole.get("normals", lambda: _with_normals(self.frame))
+
+    @property
+    def ground(self) -> Ground:
+        """The ground below its points."""
+        up = IMAGE_UP if self.frame.up is None else self.frame.up
+        return self._whole.get("ground", lambda: find_ground(self.frame.cloud.xyz_m, up))
 
     def inside(self, box: OrientedBox) -> Int64[np.ndarray, "m"]:
         """Returns the indices of the points in a box."""
@@ -145,6 +153,8 @@ KEPT_FRAMES = 8
 KEPT_BYTES = 512 * 2**20
 # Small pictures of frames; one takes some 3 kB.
 MOST_SMALL = 4000
+# Cameras of recordings.
+MOST_CAMERAS = 1000
 # Delay before reading ahead, so that the requests of the current frame go first, seconds.
 PAUSE_S = 0.4
 
@@ -162,6 +172,7 @@ class FrameCache:
         self._open_by: dict[str, tuple[Project, int]] = {}
         self._closed = threading.Event()
         self._small = Memo(MOST_SMALL)
+        self._cameras = Memo(MOST_CAMERAS)
 
     def read(self, project: Project, frame_id: int) -> Frame:
         """Returns a frame.
@@ -210,6 +221,12 @@ class FrameCache:
         key = project, frame_id, stored.key, project.adjustments.newest(stored.recording_id), width_px
         return self._small.get(key, lambda: _small(self.look(project, stored), width_px))
 
+    def camera(self, project: Project, frame_id: int) -> Camera:
+        """Returns the camera of a frame's recording; the first frame that is asked for is read. Raises as `read`."""
+        stored = project.frames.get(frame_id)
+        key = project, stored.recording_id, project.adjustments.newest(stored.recording_id)
+        return self._cameras.get(key, lambda: self.look(project, stored).camera)
+
     def recorded(self, project: Project, frame_id: int) -> Frame:
         """Returns a frame as its recording's files give it; it is not cached. Raises as `read`."""
         stored = project.frames.get(frame_id)
@@ -231,7 +248,7 @@ class FrameCache:
         """Drops all frames of a project, e.g. after its recordings have changed."""
         with self._lock:
             self._sources.pop(project, None)
-            self._small = Memo(MOST_SMALL)
+            self._small, self._cameras = Memo(MOST_SMALL), Memo(MOST_CAMERAS)
             self._open_by = {who: key for who, key in self._open_by.items() if key[0] is not project}
             for key in [key for key in self._frames if key[0] is project]:
                 del self._frames[key]
@@ -309,6 +326,6 @@ class FrameCache:
 
     def _prepare_neighbour(self, project: Project, frame_id: int) -> None:
         opened = self._open(project, project.frames.get(frame_id))
-        _ = opened.jpeg
+        _ = opened.jpeg, opened.ground
         for label in project.labels.of_frame(frame_id):
             opened.points_in(label.box)

@@ -5,24 +5,28 @@ added: its topics, and the cloud of its first frame over the image.
 from __future__ import annotations
 
 import base64
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 
-from annotator.geometry.outline import visible_edges
+from annotator.geometry.outline import sizes_on_image
 from annotator.geometry.projection import inside_image, project
 from annotator.image_bytes import encoded_image
-from annotator.project import StoredLabel, ViewBoxes
+from annotator.project import Project, ViewBoxes
 from annotator.project.overview import FramePage
 from annotator.recordings import ReaderOptions, open_recording
 from annotator.recordings.ros.topics import TopicReport
 from annotator.types import Box2D, Frame
-from annotator.types.errors import InputError, MissingExtraError
+from annotator.types.errors import AnnotatorError, InputError, MissingExtraError
 from annotator.workflows.inspect import bag_topics
 from annotator.workflows.views import ObjectViews, front_and_side, views_by_object
-from annotator.workflows.workbench.frame_cache import OpenFrame
+from annotator.workflows.workbench.frame_cache import FrameCache
+
+# A camera sees an object much better than another one if it is larger by this factor (`sizes_on_image`).
+MUCH_BETTER = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,14 +43,38 @@ class ShownObject:
     uid: str | None
 
 
-def seen_labels(page: FramePage, opened: OpenFrame) -> list[tuple[StoredLabel, Float64[np.ndarray, "k 2 2"]]]:
-    """Returns the labels of a frame, each with its visible edges on the image, pixels.
+@dataclass(frozen=True)
+class Sight:
+    """Which cameras of a rig see an object.
 
-    Of the other cameras of the moment, those that the image shows.
+    Attributes:
+        frames: of the moment's cameras that see it, the best first.
+        better: the first of them, if the camera that is shown sees the object not at all, or much worse.
     """
-    outlines = visible_edges(opened.frame.camera, [stored.label.box for stored in page.labels])
-    each = zip(page.labels, outlines, strict=True)
-    return [(stored, outline) for stored, outline in each if stored.is_own or len(outline)]
+
+    frames: tuple[int, ...] = ()
+    better: int | None = None
+
+
+def sights(project: Project, frames: FrameCache, page: FramePage) -> dict[str, Sight]:
+    """Returns which cameras see the objects of a moment, by uid; without a rig, nothing."""
+    if len(page.cameras) < 2:
+        return {}
+    sizes: dict[str, dict[int, float]] = {stored.label.uid: {} for stored in page.labels}
+    for frame_id in page.cameras.values():
+        # a camera that cannot be read sees nothing
+        with suppress(AnnotatorError):
+            camera, labels = frames.camera(project, frame_id), project.labels.of_moment(frame_id)
+            for stored, size in zip(labels, sizes_on_image(camera, [each.label.box for each in labels]), strict=True):
+                if size > 0 and stored.label.uid in sizes:
+                    sizes[stored.label.uid][frame_id] = float(size)
+    return {uid: _sight(of_label, page.frame.id) for uid, of_label in sizes.items()}
+
+
+def _sight(sizes: Mapping[int, float], shown: int) -> Sight:
+    ordered = tuple(sorted(sizes, key=lambda frame_id: -sizes[frame_id]))
+    is_better = bool(ordered) and sizes[ordered[0]] > MUCH_BETTER * sizes.get(shown, 0.0)
+    return Sight(ordered, ordered[0] if is_better else None)
 
 
 def shown_objects(page: FramePage) -> tuple[ShownObject, ...]:

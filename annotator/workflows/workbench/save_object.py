@@ -18,7 +18,8 @@ from annotator.rcv.config import RcvConfig
 from annotator.types import Box2D, BoxKind, OrientedBox, ReviewState, Suggestion
 from annotator.types.errors import ConfigError, StaleRevisionError
 from annotator.workflows.tracks.key_frames import moved_along
-from annotator.workflows.tracks.propose_boxes import label_of, proposal_events, proposal_like, why_left_out
+from annotator.workflows.tracks.propose_boxes import around, label_of, proposal_events, proposal_like, why_left_out
+from annotator.workflows.tracks.timeline import OpenRecording
 from annotator.workflows.views import changes_kind, geometry_of, image_follower, view_followers
 from annotator.workflows.workbench.drawing_steps import (
     MAX_BOXES,
@@ -99,6 +100,7 @@ def save_object(
     kind: BoxKind,
     drawn: ObjectDrawn | None,
     context: WriteContext,
+    recordings: OpenRecording | None = None,
 ) -> str | None:
     """Stores the boxes on the image and on an object's views and, once all four are drawn, its 3D label: all or none.
 
@@ -110,6 +112,7 @@ def save_object(
     Args:
         image_boxes: all boxes of the image, the object's included.
         kind: what the boxes measure.
+        recordings: as for `apply_changes`.
 
     Raises:
         StaleRevisionError: the frame was changed in the meantime.
@@ -142,7 +145,7 @@ def save_object(
         target = context.effort_target or _effort_target(page, image_boxes, drawn, uid)
         corrected = [entry for entry in payloads if isinstance(entry, LabelChanged) and entry.uid == uid]
         parts = [FramePart(frame_id, payloads, replace(context, effort_target=target))]
-        moved, _ = _in_other_frames(project, page, corrected, context)
+        moved, _ = _in_other_frames(project, page, corrected, context, recordings)
         project.log.append_to_frames([*parts, *moved])
     return uid
 
@@ -252,11 +255,13 @@ def apply_changes(
     payloads: Sequence[Payload],
     context: WriteContext,
     open_frame: Callable[[], OpenFrame],
+    recordings: OpenRecording | None = None,
 ) -> int:
     """Stores changes to one frame and the changes they imply, as one action: all or none.
 
     Args:
         open_frame: returns the frame; called only if finished objects must be remeasured.
+        recordings: gives the recording, if boxes move along between other times; None = it is opened.
 
     Returns:
         The number of unreviewed boxes of corrected boxes' tracks that have moved along (`key_frames`).
@@ -271,7 +276,7 @@ def apply_changes(
         # if another change comes between this read and the append, the append refuses the stale revision
         with project.store.snapshot():
             page = read_page(project, frame_id)
-            moved, boxes = _in_other_frames(project, page, payloads, context)
+            moved, boxes = _in_other_frames(project, page, payloads, context, recordings)
             parts = [*parts_of(project, page, payloads, context, open_frame), *moved]
         try:
             project.log.append_to_frames(parts)
@@ -301,8 +306,30 @@ def parts_of(
     return parts
 
 
+def parts_of_frames(
+    project: Project, changes: Sequence[tuple[StoredFrame, Sequence[Payload]]], context: WriteContext
+) -> list[FramePart]:
+    """As `parts_of`, of several frames, each at its revision; the first one has the effort.
+
+    Most labels were not drawn on an image. Then a change implies nothing, and the rest of the frame is not read.
+    """
+    uids = [e.uid for _, events in changes for e in events if isinstance(e, LabelChanged | LabelDeleted)]
+    drawn, parts = project.labels.drawn_on_images(uids), list[FramePart]()
+    for frame, events in changes:
+        context = replace(context, revision=frame.revision, effort=None if parts else context.effort)
+        if drawn and any(isinstance(e, LabelChanged | LabelDeleted) and e.uid in drawn for e in events):
+            parts += parts_of(project, read_page(project, frame.id), events, context)
+        else:
+            parts.append(FramePart(frame.id, events, context))
+    return parts
+
+
 def _in_other_frames(
-    project: Project, page: FramePage, payloads: Sequence[Payload], context: WriteContext
+    project: Project,
+    page: FramePage,
+    payloads: Sequence[Payload],
+    context: WriteContext,
+    recordings: OpenRecording | None,
 ) -> tuple[list[FramePart], int]:
     """What corrected boxes change in other frames of their tracks; the number of boxes that move along there."""
     before = {stored.label.uid: stored for stored in page.labels}
@@ -313,14 +340,10 @@ def _in_other_frames(
         stored = before.get(entry.uid)
         is_same = "track_id" not in entry.model_fields_set or (stored and entry.track_id == stored.label.track_id)
         if stored is not None and is_same:
-            for frame, events in moved_along(project, page.frame, stored, entry.box.box()):
+            for frame, events in moved_along(project, page.frame, stored, entry.box.box(), recordings):
                 by_frame[frame] += events
                 boxes += 1
-    parts = [
-        FramePart(frame.id, events, replace(context, revision=frame.revision, effort=None))
-        for frame, events in by_frame.items()
-    ]
-    return parts, boxes
+    return parts_of_frames(project, list(by_frame.items()), replace(context, effort=None)), boxes
 
 
 def _on_other_images(
@@ -381,7 +404,7 @@ def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: 
     boxes = [label for label in own if label.state in REVIEWED]
     copies = [proposal_like(label, label.box, label.track_id, origin=Origin.COPIED) for label in boxes]
     # the operator asks for them, also where a wrong box was rejected
-    payloads = proposal_events(project, frame, copies, where_rejected=True)
+    payloads = proposal_events(around(project, frame, copies), frame, copies, where_rejected=True)
     if not payloads:
         whys = dict.fromkeys(why_left_out(copy, page.labels) for copy in copies)
         raise ConfigError(

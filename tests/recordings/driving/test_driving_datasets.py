@@ -358,7 +358,7 @@ def test_the_real_boxes_hold_the_points_that_argoverse_counted(shared: Path):
         scan, rows = recording.scan(index), boxes[int(key)]
         assert len(rows) == 81
         counted = counts["num_interior_pts"][counts["timestamp_ns"] == int(key)].tolist()
-        assert [int(contains(row.box, scan.raw.xyz_m).sum()) for row in rows] == counted
+        assert [int(contains(row.box, scan.read().xyz_m).sum()) for row in rows] == counted
 
 
 def test_a_frame_is_a_sweep_with_the_nearest_image(tmp_path: Path):

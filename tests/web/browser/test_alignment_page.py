@@ -77,43 +77,7 @@ def test_a_correction_and_a_level_are_tried_kept_and_undone(aligned: Page, shop:
     expect(source).to_have_text("Set in this project.")
 
 
-def test_what_was_set_is_not_lost_unasked_on_another_frame_or_mode(aligned: Page, room: Project) -> None:
-    page, dialog, source = aligned, aligned.get_by_test_id("unsaved-dialog"), aligned.get_by_test_id("up-source")
-
-    page.get_by_test_id("turn-x-field").fill("2")
-    page.get_by_test_id("mode-statistics").click()
-    expect(dialog).to_contain_text("not kept yet")
-    page.keyboard.press("Escape")
-    page.get_by_test_id("discard-correction").click()
-    expect(page.get_by_test_id("turn-x-field")).to_have_value("0.00")
-    # on another frame, both halves stay, also when one of them is kept
-    page.get_by_test_id("turn-x-field").fill("1.5")
-    page.get_by_test_id("roll-field").fill("7")
-    page.get_by_label("Next frame in time").click()
-    expect(page.get_by_test_id("frame-position")).to_contain_text("2 /")
-    expect(source).to_contain_text("not kept yet")
-    expect(page.get_by_test_id("turn-x-field")).to_have_value("1.50")
-    page.get_by_test_id("keep-correction").click()
-    expect(page.get_by_test_id("clear-correction")).to_be_enabled()
-    expect(source).to_contain_text("not kept yet")
-    # a page that is left keeps what was set, or says why not
-    page.get_by_test_id("turn-x-field").fill("2")
-    page.get_by_test_id("mode-statistics").click()
-    refused = {"error": {"kind": "ProjectError", "message": "the disk is full"}}
-    page.route("**/correction", lambda route: route.fulfill(status=507, json=refused))
-    keep = page.get_by_test_id("dialog-retry")
-    expect(keep).to_have_text("Keep and continue")
-    keep.click()
-    expect(dialog).to_contain_text("the disk is full")
-    page.unroute("**/correction")
-    keep.click()
-    expect(page.get_by_test_id("statistics")).to_be_visible()
-    stored = room.recordings.all()[0]
-    assert stored.correction.turn_rad[0] == pytest.approx(0.0349, abs=1e-4)
-    assert stored.up is not None and stored.up[0] == pytest.approx(0.12, abs=0.02)
-
-
-def test_what_is_unknown_unreadable_or_changed_by_others_is_explained(
+def test_what_is_unknown_or_changed_by_others_is_explained_and_what_was_set_is_not_lost_unasked(
     aligned: Page, shop: Shop, room: Project, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     page, keep, aside = aligned, aligned.get_by_test_id("keep-up"), aligned.locator(".alignment-mode .aside")
@@ -165,8 +129,45 @@ def test_what_is_unknown_unreadable_or_changed_by_others_is_explained(
     expect(page.get_by_text("Bob has changed this recording's calibration")).to_be_visible()
     expect(image).not_to_have_attribute("src", str(before))
     # made while there was no connection: before it is lost, so that the page cannot be back before it
-    monkeypatch.setattr(shop.live.context.announcer, "announce", lambda *_: None)
-    before = image.get_attribute("src")
-    room.adjustments.correct(1, Correction((0.0, 0.04, 0.0)), "Bob")
+    with monkeypatch.context() as patch:
+        patch.setattr(shop.live.context.announcer, "announce", lambda *_: None)
+        before = image.get_attribute("src")
+        room.adjustments.correct(1, Correction((0.0, 0.04, 0.0)), "Bob")
     hub.close()
     expect(image).not_to_have_attribute("src", str(before))
+
+    # what was set is not lost unasked in another mode or on another frame
+    dialog, source = page.get_by_test_id("unsaved-dialog"), page.get_by_test_id("up-source")
+    page.get_by_test_id("mode-alignment").click()
+    expect(turn).to_have_value("2.29")
+    page.get_by_test_id("turn-x-field").fill("2")
+    page.get_by_test_id("mode-statistics").click()
+    expect(dialog).to_contain_text("not kept yet")
+    page.keyboard.press("Escape")
+    page.get_by_test_id("discard-correction").click()
+    expect(page.get_by_test_id("turn-x-field")).to_have_value("0.00")
+    # on another frame, both halves stay, also when one of them is kept
+    page.get_by_test_id("turn-x-field").fill("1.5")
+    page.get_by_test_id("roll-field").fill("7")
+    page.get_by_label("Next frame in time").click()
+    expect(page.get_by_test_id("frame-position")).to_contain_text("2 /")
+    expect(source).to_contain_text("not kept yet")
+    expect(page.get_by_test_id("turn-x-field")).to_have_value("1.50")
+    page.get_by_test_id("keep-correction").click()
+    expect(page.get_by_test_id("clear-correction")).to_be_enabled()
+    expect(source).to_contain_text("not kept yet")
+    # a page that is left keeps what was set, or says why not
+    page.get_by_test_id("turn-x-field").fill("2")
+    page.get_by_test_id("mode-statistics").click()
+    refused = {"error": {"kind": "ProjectError", "message": "the disk is full"}}
+    page.route("**/correction", lambda route: route.fulfill(status=507, json=refused))
+    keep = page.get_by_test_id("dialog-retry")
+    expect(keep).to_have_text("Keep and continue")
+    keep.click()
+    expect(dialog).to_contain_text("the disk is full")
+    page.unroute("**/correction")
+    keep.click()
+    expect(page.get_by_test_id("statistics")).to_be_visible()
+    stored = room.recordings.all()[0]
+    assert stored.correction.turn_rad[0] == pytest.approx(0.0349, abs=1e-4)
+    assert stored.up is not None and stored.up[0] == pytest.approx(0.12, abs=0.02)

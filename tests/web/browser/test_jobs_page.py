@@ -194,14 +194,14 @@ def test_statistics_follow_the_work_and_checks_lead_to_its_boxes(shared_page: Pa
 
 
 @pytest.mark.usefixtures("jobs_on_path")
-def test_a_coco_file_becomes_proposals(
+def test_a_coco_file_becomes_proposals_and_a_bad_one_says_why(
     room: Project, start: Page, generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(WORK, "boxes", "knowing_jobs:boxes")
     name = room.path.name
     (tmp_path / "base").mkdir()
     (tmp_path / "base" / "detector.safetensors").write_bytes(b"weights")
     with monkeypatch.context() as patch:
+        patch.setitem(WORK, "boxes", "knowing_jobs:boxes")
         patch.setattr(pretrained, "FOLDER", tmp_path / "base")
         project, content = room, coco(generated)
         people = len(content["annotations"]) - 1
@@ -230,10 +230,7 @@ def test_a_coco_file_becomes_proposals(
     expect(objects).to_have_count(0)
     assert project.boxes.on_images() == ()
 
-
-def test_a_bad_file_says_why_and_a_class_can_be_added(
-    room: Project, start: Page, generated: Path, tmp_path: Path
-) -> None:
+    # what is wrong with a file is said, and a class that the project lacks can be added
     content = json.dumps(coco(generated))
     register_recording(room, open_recording(generated / "hands"))
     start.goto(f"/#/{room.path.name}/train")

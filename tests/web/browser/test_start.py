@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from bag_writer import START_NS, BagWriter, write_camera, write_mount, write_scan
-from browser_page import label_truth
+from browser_page import drag, label_truth
 from room_api import label_object
 
 from annotator.project import Project, WriteContext, create_project
@@ -200,7 +200,7 @@ def test_recordings_and_projects_are_managed_from_a_menu(room: Project, start: P
     get("copy-labels").uncheck()
     get("dialog-copy").click()
     expect(get("project-hall")).to_contain_text("copied to hall-copy, without labels")
-    expect(get("project-hall-copy")).to_contain_text("no labels")
+    expect(get("project-hall-copy")).to_contain_text("no boxes yet")
 
     choose("remove", "hall")
     get("dialog-cancel").click()
@@ -270,13 +270,15 @@ def test_open_pages_follow_a_project_that_is_renamed_removed_missing_or_not_answ
     page.goto("/#/later/statistics")
     page.reload()
     expect(offline).to_contain_text("no connection")
+    lost.clear()
     page.get_by_test_id("home").click()
     expect(page.get_by_test_id("new-project").first).to_be_visible()
     expect(offline).to_be_empty()
-    lost.clear()
 
 
-def test_virtual_cameras_are_added_and_share_a_label(start: Page, shop: Shop) -> None:
+def test_virtual_cameras_share_a_label_and_topics_of_a_bag_are_chosen_with_a_preview(
+    start: Page, shop: Shop, tmp_path: Path
+) -> None:
     create_project(shop.live.settings.projects_root, "rig", ("car",)).close()
     shop.projects.append("rig")
     start.reload()
@@ -309,13 +311,37 @@ def test_virtual_cameras_are_added_and_share_a_label(start: Page, shop: Shop) ->
     expect(start).to_have_url(re.compile("/annotate/2$"))
     expect(selected).to_have_attribute("data-uid", uid)
     expect(cameras.first).to_have_attribute("aria-current", "true")
+    # from a camera that does not see it, a double click and a key lead to the one that sees it best
+    for go in (lambda: start.get_by_test_id("frame-box").dblclick(), lambda: start.keyboard.press("k")):
+        cameras.last.click()
+        expect(start).to_have_url(re.compile("/annotate/5$"))
+        expect(start.get_by_test_id("image-note")).to_contain_text("K goes there")
+        go()
+        expect(start).to_have_url(re.compile("/annotate/[23]$"))
+        expect(selected).to_have_attribute("data-uid", uid)
+    # the places have the sizes that they were given, and the next area has the main one
+    border = start.get_by_test_id("border-first")
+    width_of = "(selector) => document.querySelector(selector).getBoundingClientRect().width"
+    width = start.evaluate(width_of, "section.image")
+    place = border.evaluate("(one) => one.getBoundingClientRect().toJSON()")
+    drag(start, (place["x"] + 4, place["y"] + 9), (place["x"] - 56, place["y"] + 9))
+    assert start.evaluate(width_of, "section.image") == pytest.approx(width - 60, abs=1)
+    border.dblclick()
+    assert start.evaluate(width_of, "section.image") == width
+    start.keyboard.press("q")
+    start.reload()
+    start.get_by_test_id("frame-box").wait_for()
+    assert start.evaluate(width_of, "section.scene:not([hidden])") == width
+    start.keyboard.press("q")
+    start.keyboard.press("q")
+    assert start.evaluate(width_of, "section.image") == width
     start.goto("/#/rig/alignment/3")
     expect(start.get_by_test_id("correction-effect")).to_contain_text("no calibration to correct")
     expect(start.get_by_test_id("keep-correction")).to_be_hidden()
     expect(start.get_by_test_id("estimate-up")).to_be_visible()
 
-
-def test_topics_and_calibrations_are_chosen_with_a_preview(start: Page, shop: Shop, tmp_path: Path) -> None:
+    # a bag with two cameras
+    start.get_by_test_id("home").click()
     live, root = shop.live, shop.folder
     (tmp_path / "left and right").mkdir()
     with BagWriter(tmp_path / "left and right", "ros1") as bag:

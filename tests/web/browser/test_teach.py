@@ -278,7 +278,7 @@ def test_a_finalised_frame_is_not_drawn_on_and_others_boxes_appear(bench: Bench)
     until(page, lambda: page.url != first)
 
 
-def test_one_drag_and_space_make_a_label(
+def test_one_drag_and_space_make_a_label_and_detected_image_boxes_are_accepted(
     bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]
 ) -> None:
     perfect = knowing("people", kind=BoxKind.SILHOUETTE).view
@@ -347,17 +347,16 @@ def test_one_drag_and_space_make_a_label(
     stored = [box for _, box in bench.state["objects"][1]["views"]]
     assert abs(stored[0]["y_max"] - (suggested["y_min"] + suggested["y_max"]) / 2) < 3
 
-
-def test_detected_image_boxes_are_accepted(
-    bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]
-) -> None:
-    page, perfect = bench.page, knowing("people", kind=BoxKind.SILHOUETTE)
-    teach(image=perfect.image, view=perfect.view)
-    expect(page.get_by_test_id("image-editor").locator(".box.suggested")).to_have_count(3)
+    # an image detector suggests all objects of another frame
+    people = knowing("people", kind=BoxKind.SILHOUETTE)
+    teach(image=people.image, view=people.view)
+    page.get_by_label("Next frame in time").click()
+    suggested = page.get_by_test_id("image-editor").locator(".box.suggested")
+    expect(suggested).to_have_count(3)
     with page.expect_response(answers_drag(0)):
-        page.get_by_test_id("image-editor").locator(".box.suggested").first.click(force=True)
-    expect(page.locator(".views .box.suggested")).to_have_count(4)
+        suggested.first.click(force=True)
+    expect(dashed).to_have_count(4)
     page.keyboard.press("Space")
-    expect(page.get_by_test_id("frame-box")).to_have_count(1)
+    expect(box).to_have_count(1)
     bench.saved()
-    assert len(bench.labels) == 1
+    assert len(bench.project.labels.of_frame(FRAME + 1)) == 1

@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 from moving import ANN, FRAMES, Walking, box_of, proposal_of, tracks_of
 
 from annotator.project import NewLabel, Project, WriteContext, open_project
-from annotator.project.changes import LabelChanged, LabelDeleted
+from annotator.project.changes import LabelChanged, LabelDeleted, Payload
 from annotator.project.records import BoxRecord
 from annotator.tracking.link import overlap_at_place
 from annotator.types import Label, OrientedBox, ReviewState, Source
@@ -32,7 +32,8 @@ from annotator.workflows.importing.boxes_3d import create_if_unlabelled, with_tr
 from annotator.workflows.tracks.copy_next import copy_next
 from annotator.workflows.tracks.follow_run import follow_from_frame, follow_recording
 from annotator.workflows.tracks.link import link_tracks
-from annotator.workflows.tracks.operations import Delete, Fill, Operation, SetClass, SetNumber, SetSize, apply
+from annotator.workflows.tracks.operations import Delete, Fill, Merge, Operation, SetClass, SetNumber, SetSize, apply
+from annotator.workflows.tracks.refit_run import RefitRun
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.save_object import apply_changes, copy_boxes
 
@@ -55,9 +56,10 @@ OPERATIONS = [
     for kind, given in (
         (SetClass, {"label": CLASS}),
         (SetNumber, {"number": TRACK}),
+        (Merge, {"number": TRACK}),
         (SetSize, {"size_m": st.sampled_from([(0.6, 0.5, 1.7), (0.9, 0.5, 1.2)])}),
         (Delete, {}),
-        (Fill, {}),
+        (Fill, {"refit": st.booleans()}),
     )
 ]
 STEP = st.one_of(
@@ -135,8 +137,11 @@ class Room:
         return labels[at[1] % len(labels)]
 
     def do_label(self, index: int, person: int, track: int | None, off_m: float, name: str) -> None:
-        new = [NewLabel(name, box_of(person, index, off_m), track_id=track)]
-        self.project.labels.create(self.frames[index], new, self.context(index))
+        self.change(index, NewLabel(name, box_of(person, index, off_m), track_id=track))
+
+    def change(self, index: int, *payloads: Payload) -> None:
+        """As the page does; boxes of the track of a corrected one may move along."""
+        apply_changes(self.project, self.frames[index], payloads, self.context(index), unexpected)
 
     def do_follow(self, index: int, forward: bool) -> None:
         self._follow(index, None, forward)
@@ -166,9 +171,12 @@ class Room:
         ids = {name: None if end is None else self.frames[end] for name, end in ends.items()}
         inside = set(self.frames[slice(ends["first"], None if ends["last"] is None else ends["last"] + 1)])
         operation, before = operation.model_copy(update=ids), self.labels()
-        told = apply(self.project, self.recording, track, operation, ANN, dry_run=True)
+        told = apply(self.project, self.recording, track, operation, ANN, dry_run=True).count
         assert self.labels().keys() == before.keys(), "it was only counted"
-        assert apply(self.project, self.recording, track, operation, ANN, told=told) == told
+        done = apply(self.project, self.recording, track, operation, ANN, told=told)
+        assert done.count == told
+        if isinstance(operation, Fill) and operation.refit:
+            RefitRun(self.project, done, ANN, lambda _, label: shifted(label.box, 0.1)).run()
         after = self.labels()
         changed = {
             uid
@@ -181,19 +189,16 @@ class Room:
         assert all(before[uid][0] in inside and before[uid][1].track_id in involved for uid in changed)
 
     def do_correct(self, at: tuple[int, int], by_m: float) -> None:
-        """As the page does: an edit of a box, with which those of its track that are not reviewed may move."""
+        """Reviewed boxes stay, also those of the track."""
         label = self.nth(at)
-        was = label.box
-        box = OrientedBox.from_parts(was.center_m + np.array([by_m, 0.0, 0.0]), was.rotation, was.size_m)
-        edit = LabelChanged(uid=label.uid, state=ReviewState.EDITED, box=BoxRecord.of(box))
+        edit = LabelChanged(uid=label.uid, state=ReviewState.EDITED, box=BoxRecord.of(shifted(label.box, by_m)))
         before = self.labels()
-        apply_changes(self.project, self.frames[at[0]], [edit], self.context(at[0]), unexpected)
+        self.change(at[0], edit)
         others = {uid: each for uid, each in before.items() if uid != label.uid}
         require_reviewed_untouched(others, self.labels(), is_linked=False)
 
     def do_track(self, at: tuple[int, int], track: int | None) -> None:
-        event = LabelChanged(uid=self.nth(at).uid, track_id=track)
-        self.project.log.append(self.frames[at[0]], [event], self.context(at[0]))
+        self.change(at[0], LabelChanged(uid=self.nth(at).uid, track_id=track))
 
     def do_merge(self, at: tuple[int, int], track: int | None, keeps_this: bool) -> None:
         """As the page does when a track is taken: one of the two boxes is deleted."""
@@ -207,13 +212,11 @@ class Room:
                 if label.track_id == error.track_id and label.state is not ReviewState.REJECTED and label.uid != uid
             )
             tracked = LabelChanged(uid=uid, track_id=track)
-            events = [LabelDeleted(uid=other.uid), tracked] if keeps_this else [LabelDeleted(uid=uid)]
-            self.project.log.append(frame, events, self.context(at[0]))
+            self.change(at[0], *([LabelDeleted(uid=other.uid), tracked] if keeps_this else [LabelDeleted(uid=uid)]))
 
     def do_decide(self, at: tuple[int, int], state: ReviewState | None) -> None:
         uid = self.nth(at).uid
-        change = LabelDeleted(uid=uid) if state is None else LabelChanged(uid=uid, state=state)
-        self.project.log.append(self.frames[at[0]], [change], self.context(at[0]))
+        self.change(at[0], LabelDeleted(uid=uid) if state is None else LabelChanged(uid=uid, state=state))
 
     def do_link(self) -> None:
         link_tracks(self.project)
@@ -233,6 +236,10 @@ class Room:
 
     def do_undo(self) -> None:
         self.project.history.undo(ANN)
+
+
+def shifted(box: OrientedBox, by_m: float) -> OrientedBox:
+    return OrientedBox.from_parts(box.center_m + np.array([by_m, 0.0, 0.0]), box.rotation, box.size_m)
 
 
 def unexpected() -> OpenFrame:

@@ -16,8 +16,18 @@ from annotator.project.classes.edit import PutAttribute
 from annotator.project.records import BoxRecord
 from annotator.types import Label, OrientedBox, ReviewState
 from annotator.types.errors import ConfigError, NotFoundError, TrackTakenError
-from annotator.workflows.tracks import operations
-from annotator.workflows.tracks.operations import Count, Delete, SetClass, SetNumber, SetSize, SetValues, apply, resized
+from annotator.workflows.tracks import operations, timeline
+from annotator.workflows.tracks.operations import (
+    Count,
+    Delete,
+    Merge,
+    SetClass,
+    SetNumber,
+    SetSize,
+    SetValues,
+    apply,
+    resized,
+)
 from annotator.workflows.workbench.save_object import apply_changes
 
 OPEN, ACCEPTED = ReviewState.PROPOSED, ReviewState.ACCEPTED
@@ -39,7 +49,7 @@ def track(room: Room) -> Room:
 
 
 def do(room: Room, operation: operations.Operation, track_id: int = 3, **options: Any) -> Count:
-    return apply(room.project, room.recording, track_id, operation, ANN, **options)
+    return apply(room.project, room.recording, track_id, operation, ANN, **options).count
 
 
 def of_track(room: Room, track_id: int = 3) -> list[tuple[int, Label]]:
@@ -93,6 +103,25 @@ def test_a_track_is_split_and_merged_again(track: Room) -> None:
     assert [len(of_track(track, number)) for number in (3, 4)] == [3, 5]
     with pytest.raises(ConfigError, match="has this number already"):
         do(track, SetNumber(number=3))
+
+
+def test_the_likeliest_other_part_of_a_track_is_proposed(room: Room) -> None:
+    room.project.configure(classes=("person", "robot"))
+    for index in (0, 1):
+        put(room, index)
+    with pytest.raises(ConfigError, match="no other part of track 3 of people was found"):
+        do(room, Merge(), dry_run=True)
+    put(room, 4, track_id=5)  # where it would be by now
+    put(room, 3, track_id=6, person=1)  # beside it
+    put(room, 1, track_id=7)
+    put(room, 3, track_id=7)  # in a frame with this one: another object
+    put(room, 2, track_id=8, box=box_of(0, 2))
+    uid = of_track(room, 8)[0][1].uid
+    room.project.log.append(room.frames[2].id, [LabelChanged(uid=uid, label="robot")], room.context(2))
+    told = do(room, Merge(), dry_run=True)
+    assert told == Count(changed=2, number=5, joined=1)
+    assert do(room, Merge(number=told.number), told=told) == told
+    assert [index for index, _ in of_track(room, 5)] == [0, 1, 4]
 
 
 def test_a_new_number_that_somebody_else_has_just_taken_is_refused(
@@ -157,6 +186,13 @@ def test_values_are_set_along_a_track(track: Room) -> None:
     assert {tuple(sorted(label.attributes.items())) for _, label in of_track(track)} == {
         (("coat", "red"), ("pose", "sitting"))
     }
+    track.project.history.undo(ANN)
+    # the value of a track does not keep its proposals from being replaced by a pass; one of a box does
+    kept = [track.project.labels.kept(frame.id) for frame in track.frames]
+    assert [len(uids) for uids in kept] == [0, 1, 1, 0, 1]
+    track.project.history.undo(ANN)
+    do(track, SetValues(values={"coat": "red"}), at=second)
+    assert [len(track.project.labels.kept(frame.id)) for frame in track.frames] == [0, 1, 0, 0, 0]
     for values, why in (
         ({"coat": "blue"}, "attribute of tracks"),
         ({"pose": "flying"}, "pose must be one of sitting, standing"),
@@ -201,16 +237,32 @@ def test_open_boxes_move_with_a_corrected_one_up_to_the_reviewed_ones(room: Room
     assert moved_m(room) == [0.0] * 5
 
 
-def test_without_a_reviewed_box_on_a_side_and_in_finalised_frames_nothing_moves(room: Room) -> None:
-    for index, state in enumerate((OPEN, OPEN, OPEN, OPEN, ACCEPTED)):
-        put(room, index, state)
+def test_without_a_reviewed_box_all_of_a_side_moves_alike_but_not_in_finalised_frames(room: Room) -> None:
+    for index in range(5):
+        put(room, index)
     room.project.frames.finalise(room.frames[3].id, room.context(3))
-    assert correct(room, 1, 0.3) == 1
-    assert moved_m(room) == [0.0, 0.3, 0.2, 0.0, 0.0]
+    assert correct(room, 1, 0.3) == 3
+    assert moved_m(room) == [0.3, 0.3, 0.3, 0.0, 0.3]
+    # what was corrected is reviewed now, so only the other side follows
+    assert correct(room, 2, 0.2) == 1
+    assert moved_m(room) == [0.3, 0.3, 0.5, 0.0, 0.5]
+    room.project.history.undo(ANN)
+    room.project.history.undo(ANN)
+    assert moved_m(room) == [0.0] * 5
 
 
-def test_where_only_the_corrected_box_was_wrong_the_others_stay(room: Room) -> None:
+def test_the_shares_of_boxes_are_by_the_times_of_their_frames(room: Room, monkeypatch: pytest.MonkeyPatch) -> None:
     for index, state in enumerate((ACCEPTED, OPEN, OPEN, OPEN, ACCEPTED)):
+        put(room, index, state)
+    times_ns = dict(zip((frame.key for frame in room.frames), (0, 1, 2, 8, 10), strict=True))
+    monkeypatch.setattr(timeline, "recorded_times", lambda _: times_ns)
+    assert correct(room, 2, 0.4) == 2
+    assert moved_m(room) == [0.0, 0.2, 0.4, 0.1, 0.0]
+
+
+@pytest.mark.parametrize("end", [ACCEPTED, OPEN])
+def test_where_only_the_corrected_box_was_wrong_the_others_stay(room: Room, end: ReviewState) -> None:
+    for index, state in enumerate((end, OPEN, OPEN, OPEN, end)):
         box = box_of(0, index)
         off = OrientedBox.from_parts(box.center_m + np.array([0.0, 0.0, 1.0]), box.rotation, box.size_m)
         put(room, index, state, box=off if index == 2 else box)
@@ -220,9 +272,10 @@ def test_where_only_the_corrected_box_was_wrong_the_others_stay(room: Room) -> N
     assert moved_m(room) == [0.0, 0.0, 1.0, 0.0, 0.0]
 
 
-def test_a_heading_that_is_turned_round_turns_those_that_were_wrong_alike(room: Room) -> None:
+@pytest.mark.parametrize("start", [ACCEPTED, OPEN])
+def test_a_heading_that_is_turned_round_turns_those_that_were_wrong_alike(room: Room, start: ReviewState) -> None:
     back = np.diag([-1.0, -1.0, 1.0])
-    for index, state in enumerate((ACCEPTED, OPEN, OPEN, OPEN, ACCEPTED)):
+    for index, state in enumerate((start, OPEN, OPEN, OPEN, ACCEPTED)):
         box = box_of(0, index)
         # the earlier ones face the wrong way
         rotation = back if index in (1, 2) else np.eye(3)

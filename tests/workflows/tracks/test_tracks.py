@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,25 +14,30 @@ from scipy.spatial.transform import Rotation
 from true_room import Room
 
 from annotator.geometry.iou import iou_3d
+from annotator.geometry.oriented_box import same_box
 from annotator.project import Effort, NewLabel, Project, StoredFrame, WriteContext
+from annotator.project.changes import LabelChanged
 from annotator.project.classes.attributes import Attribute
 from annotator.project.classes.edit import PutAttribute
 from annotator.project.database.schema import recordings
 from annotator.project.project import create_project
+from annotator.project.records import BoxRecord
 from annotator.rcv.config import RcvConfig
 from annotator.tracking.smooth import FLIP, relabelled
-from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, ReviewState, Source, Truth
-from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
+from annotator.types import Box2D, BoxKind, Label, OrientedBox, Proposal, Quality, ReviewState, Source, Truth
+from annotator.types.errors import ConfigError, FrameError, NotFoundError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.tracks.copy_next import copy_next
-from annotator.workflows.tracks.key_frames import carry_correction, corrected_alike
+from annotator.workflows.tracks.follow_run import Following
+from annotator.workflows.tracks.key_frames import corrected_alike
 from annotator.workflows.tracks.link import AUTHOR, link_tracks
-from annotator.workflows.tracks.operations import Count, Fill, apply, box_fitter
-from annotator.workflows.tracks.propose_boxes import proposal_events, write
+from annotator.workflows.tracks.operations import Count, Fill, apply
+from annotator.workflows.tracks.propose_boxes import around, proposal_events, write
+from annotator.workflows.tracks.refit_run import RefitRun, box_fitter
 from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.save_object import copy_boxes
+from annotator.workflows.workbench.save_object import apply_changes, copy_boxes
 
 
 def put_off(box: OrientedBox, rng: np.random.Generator) -> OrientedBox:
@@ -113,7 +118,7 @@ def test_finalised_frames_are_linked_but_not_changed(room: Room, owner: dict[str
 
 
 def fill(room: Room, track_id: int = 3, **options: Any) -> Count:
-    return apply(room.project, room.recording, track_id, Fill(**options), ANN)
+    return apply(room.project, room.recording, track_id, Fill(**options), ANN).count
 
 
 def test_frames_between_boxes_are_filled_as_one_action(room: Room) -> None:
@@ -147,6 +152,39 @@ def test_frames_between_boxes_are_filled_as_one_action(room: Room) -> None:
     for track, match in ((5, "track 5 of people has no boxes"), (10**20, "at most 9007199254740992, not 1e\\+20")):
         with pytest.raises(ConfigError, match=match):
             fill(room, track)
+
+
+def test_filled_boxes_are_fitted_in_the_background_until_it_is_stopped(room: Room) -> None:
+    people, frames = room.project, room.frames
+    room.accept_box(0, room.box(0))
+    room.accept_box(4, room.box(4))
+    done = apply(people, room.recording, 3, Fill(refit=True), ANN)
+    between = {index: label for index in (1, 2, 3) for label in room.labels(index)}
+
+    def fit(frame: StoredFrame, label: Label) -> OrientedBox:
+        index = [each.id for each in frames].index(frame.id)
+        if index == 2:
+            raise FrameError(Path(frame.key), "its image is damaged")
+        if index == 3:
+            # somebody accepts it meanwhile
+            people.labels.accept(frame.id, label.uid, room.context(3, "bob"))
+        return room.box(index)
+
+    shown: list[Following] = []
+    stopped = RefitRun(people, done, ANN, fit).run(shown.append, lambda: len(shown) == 1)
+    assert (stopped.done, stopped.total, stopped.tracks[0].boxes) == (1, 3, 1)
+    assert same_box(room.labels(1)[0].box, room.box(1))
+    assert same_box(room.labels(2)[0].box, between[2].box), "it was stopped before"
+    ended = RefitRun(people, done, ANN, fit).run()
+    assert (ended.done, ended.tracks[0].boxes) == (3, 0)
+    assert [stop.reason for stop in ended.tracks[0].stops] == ["000002: its image is damaged"]
+    assert room.labels(3)[0].state is ReviewState.ACCEPTED
+    assert same_box(room.labels(3)[0].box, between[3].box)
+    people.history.undo("bob")
+    # all of it is one action, which is not continued once it is undone
+    people.history.undo(ANN)
+    assert room.counts == [1, 0, 0, 0, 1]
+    assert RefitRun(people, done, ANN, fit).run().tracks[0].boxes == 0
 
 
 def test_a_batch_assigns_tracks_of_reviewed_boxes_to_proposals(room: Room, knowing: Callable[..., Detectors]) -> None:
@@ -211,7 +249,8 @@ def test_boxes_carried_to_other_frames_enclose_what_the_reviewed_one_does(room: 
     fit = box_fitter(people, lambda frame: OpenFrame(source.read(frame)), room.view)
     off = relabelled(room.box(4), FLIP)
     off = OrientedBox.from_parts(off.center_m + 0.02, off.rotation, off.size_m)
-    assert (fit(frames[4], off, people.labels.get(uid).label) is off) == (kind is BoxKind.SILHOUETTE)
+    moved = replace(people.labels.get(uid).label, box=off)
+    assert (fit(frames[4], moved) is off) == (kind is BoxKind.SILHOUETTE)
     people.history.undo(ANN)
     room.all(room.view)
     labels = [room.labels(index)[0] for index in range(5)]
@@ -338,25 +377,32 @@ def test_sides_stay_positive() -> None:
     assert corrected_alike(box((0.0, 0.0, 0.0), 0.0, (2.0, 2.0, 1.5)), was, now).size_m.min() > 0
 
 
-def corrected_car(folder: Path) -> tuple[Project, StoredFrame, StoredFrame, str]:
-    """A project whose first frame has a reviewed car that was moved from `WAS` to `NOW`; its frames, and the label."""
-    project = create_project(folder, "p", ["car"])
-    recording = project.recordings.add(folder / "recording", "folder", "r", ["000000", "000001"], True)
-    first, second = project.frames.of([recording.id])
-    new = [NewLabel("car", NOW, track_id=4)]
-    return project, first, second, project.labels.create(first.id, new, WriteContext(0, "me")).uids[0]
+@pytest.fixture
+def car(tmp_path: Path) -> Iterator[Project]:
+    """A project of two frames, the first of which has a reviewed car."""
+    with create_project(tmp_path, "p", ["car"]) as project:
+        project.recordings.add(tmp_path / "recording", "folder", "r", ["000000", "000001"], True)
+        first, _ = project.frames.of()
+        project.labels.create(first.id, [NewLabel("car", WAS, track_id=4)], WriteContext(0, "me"))
+        yield project
 
 
 WAS, NOW = (box((x, 0.0, 5.0), 0.0, (1.0, 1.0, 1.0)) for x in (0.0, 0.2))
 
 
-def test_who_proposed_a_corrected_box_stays_known(tmp_path: Path) -> None:
-    project, first, second, uid = corrected_car(tmp_path)
+def correct(project: Project, effort: Effort | None = None) -> None:
+    """Moves the car in the first frame from `WAS` to `NOW`; the proposals after it move along."""
+    first, _ = project.frames.of()
+    edit = LabelChanged(uid=project.labels.of_frame(first.id)[0].uid, state=ReviewState.EDITED, box=BoxRecord.of(NOW))
+    apply_changes(project, first.id, [edit], WriteContext(first.revision, "me", effort=effort), pytest.fail)
+
+
+def test_who_proposed_a_corrected_box_stays_known(car: Project) -> None:
+    project, (_, second) = car, car.frames.of()
     said = {"one": NewLabel("car", WAS, 0.9, 4), "two": NewLabel("car", WAS, 0.8, 4)}
     for source, label in said.items():
         project.proposals.bring(source, {second.id: [label]})
-    revision = project.frames.get(first.id).revision
-    carry_correction(project, first.id, uid, revision, WAS, "me")
+    correct(project)
     for _ in range(2):
         (stored,) = project.labels.select(states=[ReviewState.PROPOSED])
         np.testing.assert_allclose(stored.label.box.center_m, NOW.center_m)
@@ -373,16 +419,15 @@ def test_who_proposed_a_corrected_box_stays_known(tmp_path: Path) -> None:
     assert project.labels.select(states=[ReviewState.PROPOSED])[0].said == stored.said
 
 
-def test_a_corrected_proposal_stays_the_same_one(tmp_path: Path) -> None:
-    project, first, second, uid = corrected_car(tmp_path)
+def test_a_corrected_proposal_stays_the_same_one(car: Project) -> None:
+    project, (_, second) = car, car.frames.of()
     trusted = Proposal("car", 0.7, WAS, Box2D("car", 1.0, 2.0, 3.0, 4.0, 0.7), (), Quality(0.1, 1.0, 0.0, 0.9, 0.4))
-    payloads = proposal_events(
-        project, second, [NewLabel("car", WAS, track_id=4, state=ReviewState.PROPOSED, proposal=trusted)]
-    )
+    new = [NewLabel("car", WAS, track_id=4, state=ReviewState.PROPOSED, proposal=trusted)]
+    payloads = proposal_events(around(project, second, new), second, new)
     write(project, [(second, payloads)], "me")
     (before,) = project.labels.select(states=[ReviewState.PROPOSED])
     effort = Effort(1, 2.0)
-    carry_correction(project, first.id, uid, project.frames.get(first.id).revision, WAS, "me", effort=effort)
+    correct(project, effort)
     (after,) = project.labels.select(states=[ReviewState.PROPOSED])
     np.testing.assert_allclose(after.label.box.center_m, NOW.center_m)
     assert (after.label.uid, after.label.score, after.label.expected_iou_loss) == (before.label.uid, 0.7, 0.4)
@@ -390,7 +435,7 @@ def test_a_corrected_proposal_stays_the_same_one(tmp_path: Path) -> None:
     project.labels.accept(second.id, before.label.uid, WriteContext(revision, "me", effort=effort))
     figures = project.statistics()
     assert figures.iou_proposal_to_final == pytest.approx(iou_3d(WAS, NOW))
-    assert figures.effort.actions_a_box == pytest.approx(2.0), "the correction and the accepting"
+    assert figures.effort.actions_a_box == pytest.approx(1.0), "the correction of the one, the accepting of the other"
     project.log.rebuild()
     np.testing.assert_allclose(project.labels.get(before.label.uid).label.box.center_m, NOW.center_m)
     for _ in range(2):

@@ -3,24 +3,25 @@
  * frames of the recording, and can be undone.
  */
 
+import { withQuery } from "../api.js";
 import { confirm } from "../dialogs.js";
 import { h } from "../dom.js";
-import { isAborted, messageOf } from "../errors.js";
+import { isAborted } from "../errors.js";
 import { createFrameProblem, frameBeside } from "../frame_problem.js";
 import { makeHash } from "../router.js";
 import { createCorrectionPanel } from "./correction_panel.js";
 import { createLevelPanel } from "./level_panel.js";
-import { createPicturePanel, moved } from "./picture.js";
+import { createPicture, moved } from "./picture.js";
 
 const NOT_KEPT = "The correction or the level is not kept yet.";
 
-export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
+/** @type {Mode["mount"]} */
+export function mount(root, app, until) {
   /** @type {Api.AlignmentJson | null} */
   let known = null;
   /** @type {Vector[]} */
   let points = [];
   let frame = app.state.route.frame;
-  let ended = false;
   let isBusy = false;
   /** Someone else has adjusted the recording since it was shown. */
   let isOutdated = false;
@@ -39,7 +40,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     onKeep: (up) => keep("up", { up }),
     onDiscard: discard,
   });
-  const picture = createPicturePanel(app.state.project.recordings, {
+  const picture = createPicture(app.state.project.recordings, {
     onRecording: () => void openRecording(),
     onMissing: (url) => void explain(url),
   });
@@ -48,15 +49,15 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     onStep: (which) => void leaveBroken(which),
   });
   // what is set before the recording is known would be lost
-  const aside = h("div", { class: "aside", inert: true }, correction.root, level.root);
-  root.append(h("div", { class: "alignment-mode", "data-testid": "alignment" }, picture.root, aside));
+  const aside = h("div.aside", { inert: true }, correction.root, level.root);
+  root.append(h("div.alignment-mode", { "data-testid": "alignment" }, picture.root, aside));
 
   function hasUnsaved() {
     return correction.isChanged() || level.isUnsaved();
   }
 
   function show() {
-    if (ended || known === null || frame === null) return;
+    if (until.aborted || known === null || frame === null) return;
     const { camera, width, height } = known;
     const value = correction.value();
     picture.set({
@@ -113,8 +114,8 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   }
 
   function fail(/** @type {unknown} */ error) {
-    if (ended || isAborted(error)) return;
-    picture.setProblem(messageOf(error));
+    if (until.aborted || isAborted(error)) return;
+    picture.setProblem(error);
   }
 
   async function load() {
@@ -123,14 +124,13 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       if (frame === null) throw new Error("The project has no recording yet; add one on the start page.");
       const own = frame;
       await app.loadFrame(own);
-      /** @type {Api.AlignmentJson} */
       const answer = await app.api.get(app.path("frames", own, "alignment"));
-      if (ended || own !== frame) return;
+      if (until.aborted || own !== frame) return;
       isBroken = false;
       frameProblem.hide();
       take(answer);
     } catch (error) {
-      if (ended || isAborted(error)) return;
+      if (until.aborted || isAborted(error)) return;
       isBroken = frame !== null;
       if (isBroken) frameProblem.show(error);
       else fail(error);
@@ -153,17 +153,15 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     }
   }
 
-  async function firstFrame(/** @type {string} */ recording = "") {
-    const of = recording === "" ? "" : `?recording=${recording}`;
-    return app.api.get(`${app.path("first-frame")}${of}`);
-  }
+  const firstFrame = (/** @type {Record<string, string>} */ of = {}) =>
+    app.api.get(withQuery(app.path("first-frame"), of));
 
   async function openRecording() {
     if (hasUnsaved() && !(await confirm("Another recording", NOT_KEPT, "Discard it", "danger"))) {
       picture.chosen.value = String(known?.recording);
       return;
     }
-    const first = await firstFrame(picture.chosen.value);
+    const first = await firstFrame({ recording: picture.chosen.value });
     if (first !== null) app.go(makeHash(app.state.project.name, "alignment", first));
   }
 
@@ -184,10 +182,9 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     try {
       app.effort.action();
       const path = app.path("recordings", known.recording, what);
-      /** @type {Api.AlignmentJson} */
       const answer = await app.api.change(path, { ...content, frame: own, adjusted: known.adjusted });
       isBusy = false;
-      if (ended) return;
+      if (until.aborted) return;
       take(answer);
       putBack(sliders, up, proposed);
       if (own === frame) await app.loadFrame(own);
@@ -214,10 +211,9 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     show();
     level.wait();
     try {
-      /** @type {Api.EstimatedUp} */
       const found = await app.api.post(app.path("recordings", asked.recording, "estimate-up"), {});
       // another recording may be shown by now, or its clouds may have been turned
-      if (ended || known.recording !== asked.recording || known.adjusted !== asked.adjusted) return;
+      if (until.aborted || known.recording !== asked.recording || known.adjusted !== asked.adjusted) return;
       level.put(found.up, found);
     } catch (error) {
       fail(error);
@@ -240,15 +236,16 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   async function onReconnected() {
     if (known === null || frame === null) return;
     try {
-      /** @type {Api.AlignmentJson} */
       const { recording, adjusted } = await app.api.get(app.path("frames", frame, "alignment"));
-      if (!ended) onAdjusted({ recording, adjusted, operator: "Someone" });
+      if (!until.aborted) onAdjusted({ recording, adjusted, operator: "Someone" });
     } catch (error) {
       fail(error);
     }
   }
 
-  const stops = [app.events.on("adjusted", onAdjusted), app.events.on("reconnected", onReconnected)];
+  app.events.on("adjusted", onAdjusted, until);
+  app.events.on("reconnected", onReconnected, until);
+  until.addEventListener("abort", picture.close);
 
   void load();
   return {
@@ -258,10 +255,5 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       void load();
     },
     unsaved: () => (hasUnsaved() ? { text: NOT_KEPT, retry: keepAll, action: "Keep and continue", discard } : null),
-    unmount() {
-      ended = true;
-      for (const stop of stops) stop();
-      picture.close();
-    },
   };
 }

@@ -3,20 +3,17 @@
 import { button, count, h } from "../dom.js";
 import { createSlider, panel, SAME } from "./panel.js";
 
-/** @type {["x" | "y" | "z", string][]} */
 const AXES = [
   ["x", "right"],
   ["y", "down"],
   ["z", "ahead"],
 ];
 
-export function createCorrectionPanel(
-  /** @type {{ onChange: () => void, onKeep: (value: Api.CorrectionJson) => unknown, onDiscard: () => void }} */ {
-    onChange,
-    onKeep,
-    onDiscard,
-  },
-) {
+/** @type {Api.CorrectionJson} */
+const NONE = { turn_deg: [0, 0, 0], shift_m: [0, 0, 0], time_offset_s: 0 };
+
+/** @param {{ onChange: () => void, onKeep: (value: Api.CorrectionJson) => unknown, onDiscard: () => void }} options */
+export function createCorrectionPanel({ onChange, onKeep, onDiscard }) {
   /** @type {Api.AlignmentJson | null} */
   let known = null;
 
@@ -30,16 +27,12 @@ export function createCorrectionPanel(
     createSlider({ label: `Shift along ${axis} (${where})`, testid: `shift-${axis}`, ...metres }),
   );
   const offset = createSlider({ label: "Clouds' clock ahead", testid: "time-offset", ...seconds });
-  const noTimes = h("p", { class: "help" }, "The frames have no times, so there is no time offset to correct.");
-  const offsetNote = h("p", { class: "bad", hidden: true, "data-testid": "offset-note" });
+  const noTimes = h("p.help", "The frames have no times, so there is no time offset to correct.");
+  const offsetNote = h("p.bad", { hidden: true, "data-testid": "offset-note" });
   const keep = button("Keep this correction", () => onKeep(value()), { "data-testid": "keep-correction" });
   const back = button("Discard changes", onDiscard, { "data-testid": "discard-correction" });
-  const zero = button(
-    "Remove the correction",
-    () => onKeep({ turn_deg: [0, 0, 0], shift_m: [0, 0, 0], time_offset_s: 0 }),
-    { "data-testid": "clear-correction" },
-  );
-  const effect = h("p", { class: "help", "data-testid": "correction-effect" });
+  const zero = button("Remove the correction", () => onKeep(NONE), { "data-testid": "clear-correction" });
+  const effect = h("p.help", { "data-testid": "correction-effect" });
 
   /** @returns {Api.CorrectionJson} */
   function value() {
@@ -97,9 +90,8 @@ export function createCorrectionPanel(
       noTimes.hidden = isVirtual || known.images.length > 0;
       effect.textContent = isVirtual
         ? "The image is drawn from the cloud itself, so there is no calibration to correct."
-        : `For all frames of ${known.name}: ${count(labels, "3D box", "3D boxes")} and the boxes on pseudo-views ` +
-          "stay where they are in the cloud, so they move on the image with it; outlines and 2D boxes are projected " +
-          "anew. Boxes drawn on images stay. The next training makes its pictures anew. Undo restores everything.";
+        : `Holds for all frames of ${known.name}. ${count(labels, "3D box stays", "3D boxes stay")} in the cloud, and ` +
+          "on the image they move with it. 2D boxes drawn on images stay there. Undo restores everything.";
       offsetNote.textContent =
         `${count(drawn, "frame has", "frames have")} boxes that were drawn on the image. With this time offset ` +
         "they are on another image: draw them again.";

@@ -2,7 +2,7 @@
 
 import { add, cross, dot, scale, subtract, unit } from "../rotation.js";
 
-const RAD = Math.PI / 180;
+export const RAD = Math.PI / 180;
 /** Lines of the grid in each direction, and the points of a line. */
 const [LINES, STEPS] = [9, 40];
 
@@ -20,14 +20,11 @@ export function anglesOf(/** @type {Vector} */ up) {
 /** A level grid through the lowest points, and plumb lines on some points: lists of points in the camera frame. */
 export function levelLines(/** @type {Vector} */ up, /** @type {Vector[]} */ points) {
   if (points.length === 0) return { grid: [], plumb: [] };
-  const heights = points.map((point) => dot(point, up)).sort((a, b) => a - b);
-  const floor = heights[Math.floor(heights.length * 0.02)];
-  const reach = quantile(
-    points.map((point) => Math.hypot(...subtract(point, scale(up, dot(point, up))))),
-    0.7,
-  );
-  const axis = subtract([0, 0, 1], scale(up, up[2]));
-  const ahead = Math.hypot(...axis) > 0.1 ? unit(axis) : unit(cross(up, [1, 0, 0]));
+  const heights = points.map((point) => dot(point, up));
+  const floor = quantile(heights, 0.02);
+  const distances = points.map((point, i) => Math.hypot(...subtract(point, scale(up, heights[i]))));
+  const reach = quantile(distances, 0.7);
+  const ahead = aheadOf(up) ?? unit(cross(up, [1, 0, 0]));
   const aside = cross(ahead, up);
   const centre = add(scale(up, floor), scale(ahead, 0.6 * reach));
   const at = (/** @type {number} */ i) => reach * ((2 * i) / (LINES - 1) - 1);
@@ -44,9 +41,8 @@ export function levelLines(/** @type {Vector} */ up, /** @type {Vector[]} */ poi
 
 /** Points at an equal height as the camera, straight ahead and to both sides: the horizon. */
 export function horizon(/** @type {Vector} */ up) {
-  const axis = subtract([0, 0, 1], scale(up, up[2]));
-  if (Math.hypot(...axis) < 0.1) return [];
-  const ahead = unit(axis);
+  const ahead = aheadOf(up);
+  if (ahead === null) return [];
   const aside = cross(ahead, up);
   return Array.from({ length: STEPS + 1 }, (_, i) => {
     const angle = 80 * ((2 * i) / STEPS - 1) * RAD;
@@ -54,6 +50,13 @@ export function horizon(/** @type {Vector} */ up) {
   });
 }
 
-function quantile(/** @type {number[]} */ values, /** @type {number} */ share) {
+/** The level direction straight ahead; null: the camera looks up or down. */
+function aheadOf(/** @type {Vector} */ up) {
+  const axis = subtract([0, 0, 1], scale(up, up[2]));
+  return Math.hypot(...axis) > 0.1 ? unit(axis) : null;
+}
+
+/** The value below which such a share of the values is. */
+export function quantile(/** @type {number[]} */ values, /** @type {number} */ share) {
   return values.toSorted((a, b) => a - b)[Math.floor((values.length - 1) * share)];
 }

@@ -9,6 +9,13 @@ import { rotationOf } from "./picture.js";
 /** The up direction of a camera that is level, which is shown while none is known. */
 const LEVEL = upOf({ roll: 0, pitch: 0 });
 
+/** What the project's setting of rotation says of its boxes. @type {Record<string, string>} */
+const ROTATIONS = {
+  auto: "upright where up is known, else of any rotation",
+  upright: "upright",
+  free: "of any rotation",
+};
+
 /**
  * @param {{ rotation: () => unknown, onChange: () => void, onPropose: () => unknown, onDiscard: () => void,
  *     onKeep: (up: Vector | null) => unknown }} options `rotation`: the project's setting.
@@ -16,11 +23,7 @@ const LEVEL = upOf({ roll: 0, pitch: 0 });
 export function createLevelPanel({ rotation, onChange, onPropose, onDiscard, onKeep }) {
   /** @type {Api.AlignmentJson | null} */
   let known = null;
-  /**
-   * The up direction that is shown, relative to the stored correction; null: unknown.
-   *
-   * @type {Vector | null}
-   */
+  /** The up direction that is shown, relative to the stored correction; null: unknown. @type {Vector | null} */
   let up = null;
   /** @type {Api.EstimatedUp | null} */
   let estimate = null;
@@ -30,10 +33,10 @@ export function createLevelPanel({ rotation, onChange, onPropose, onDiscard, onK
   const source = h("p", { role: "status", "data-testid": "up-source" });
   const propose = button("Propose", onPropose, { "data-testid": "estimate-up" });
   const accept = button("Keep this level", () => onKeep(up ?? LEVEL), { "data-testid": "keep-up" });
-  const refuse = button("Refuse", onDiscard, { "data-testid": "refuse-up" });
-  const unknown = button("Clear", () => onKeep(null), { "data-testid": "clear-up" });
+  const refuse = button("Discard", onDiscard, { "data-testid": "refuse-up" });
+  const unknown = button("As in the files", () => onKeep(null), { "data-testid": "clear-up" });
   unknown.title = "Take it from the recording's files again; if they do not tell, it is unknown";
-  const follows = h("p", { class: "help", "data-testid": "up-effect" });
+  const follows = h("p.help", { "data-testid": "up-effect" });
 
   function turn() {
     estimate = null;
@@ -126,8 +129,8 @@ export function createLevelPanel({ rotation, onChange, onPropose, onDiscard, onK
       propose.disabled = isBusy;
       source.textContent = described();
       follows.textContent =
-        "Stored boxes do not change. New boxes, views and proposals follow: " +
-        `the project's rotation setting is ${rotation()} (auto: upright where up is known).`;
+        "Stored boxes do not change; new ones, views and proposals follow. " +
+        `The boxes of this project are ${ROTATIONS[String(rotation())]}.`;
     },
   };
 }

@@ -11,8 +11,8 @@ export function panel(
   /** @type {HTMLElement[]} */ buttons,
   /** @type {HTMLElement} */ help,
 ) {
-  const body = h("div", { class: "body stack" }, parts, h("div", { class: "row wrap" }, buttons), help);
-  return h("section", { class: "panel" }, h("header", {}, h("h2", {}, title)), body);
+  const body = h("div.body.stack", parts, h("div.row.wrap", buttons), help);
+  return h("section.panel", h("header", h("h2", title)), body);
 }
 
 // -- a slider with a field for its number; both change together
@@ -33,7 +33,7 @@ export function createSlider({ label, testid, most, step, unit, onChange }) {
   field.addEventListener("input", () => {
     if (Number.isFinite(field.valueAsNumber)) change(field.valueAsNumber);
   });
-  const root = h("div", { class: "slider" }, h("span", {}, label), range, field, h("span", { class: "muted" }, unit));
+  const root = h("div.slider", h("span", label), range, field, h("span.muted", unit));
 
   function change(/** @type {number} */ next) {
     value = next;

@@ -2,28 +2,36 @@
 
 import { project } from "../camera.js";
 import { h } from "../dom.js";
+import { checkbox, errorBox, select, showProblem } from "../forms.js";
 import { aboutAxis, add, dot, IDENTITY, length, scale } from "../rotation.js";
-import { horizon, levelLines } from "./level.js";
+import { horizon, levelLines, quantile, RAD } from "./level.js";
 
 const [LEAST_ZOOM, MOST_ZOOM] = [1, 20];
-const RAD = Math.PI / 180;
 
 /** @typedef {{ image: string, camera: Camera, points: Vector[], up: Vector | null, isFirm: boolean }} Shown */
-/** @typedef {{ points: boolean, level: boolean, size: number }} Show */
 
 /**
- * @param {HTMLElement} host
- * @param {(url: string) => void} onMissing the image could not be loaded.
+ * The panel of the picture: which recording it shows, and how.
+ *
+ * @param {Api.ProjectInfo["recordings"]} recordings
+ * @param {{ onRecording: () => unknown, onMissing: (url: string) => unknown }} options
+ *     `onRecording`: another recording was chosen; `onMissing`: its image could not be loaded.
  */
-export function createPicture(host, onMissing) {
+export function createPicture(recordings, { onRecording, onMissing }) {
   const canvas = h("canvas", { "data-testid": "alignment-picture", "aria-label": "The cloud over the image" });
+  const host = h("div.picture", canvas);
   const image = new Image();
   /** @type {Shown | null} */
   let shown = null;
-  /** @type {Show} */
-  let show = { points: true, level: true, size: 2 };
   let [zoom, left, top, pending] = [1, 0, 0, 0];
-  host.append(canvas);
+  const problem = errorBox(null, "alignment-problem");
+  const chosen = select(
+    recordings.map(({ id, name }) => [String(id), name]),
+    { "aria-label": "Recording", "data-testid": "alignment-recording", onchange: onRecording },
+  );
+  const points = checkbox("show-points", true, { onchange: draw });
+  const level = checkbox("show-level", true, { onchange: draw });
+  const size = h("input", { type: "range", min: 1, max: 8, step: 0.5, value: "2", oninput: draw });
 
   /** Draws once per animation frame. */
   function draw() {
@@ -53,8 +61,8 @@ export function createPicture(host, onMissing) {
     context.beginPath();
     context.rect(-0.5, -0.5, camera.width, camera.height);
     context.clip();
-    if (show.points) paintPoints(context, shown, show.size / fit);
-    if (show.level && shown.up !== null) paintLevel(context, shown, 1.5 / fit);
+    if (points.checked) paintPoints(context, shown, Number(size.value) / fit);
+    if (level.checked && shown.up !== null) paintLevel(context, shown, 1.5 / fit);
   }
 
   function onWheel(/** @type {WheelEvent} */ event) {
@@ -82,21 +90,32 @@ export function createPicture(host, onMissing) {
     draw();
     onMissing(image.src);
   });
-  const size = new ResizeObserver(draw);
-  size.observe(host);
+  const resizing = new ResizeObserver(draw);
+  resizing.observe(host);
 
+  const header = h(
+    "header",
+    h("h1.ellipsis", "Cloud over image"),
+    chosen,
+    h("span.grow"),
+    h("label.row", points, "points"),
+    h("label.row", { title: "Size of the points" }, size),
+    h("label.row", level, "level"),
+  );
+  const help = "Near points are red, far ones blue. The wheel zooms; drag to move the picture.";
   return {
-    set(/** @type {Shown | null} */ next) {
+    root: h("section.panel", header, problem, host, h("footer.help", help)),
+    host,
+    chosen,
+    set(/** @type {Shown} */ next) {
       shown = next;
-      if (next !== null && !image.src.endsWith(next.image)) image.src = next.image;
+      if (!image.src.endsWith(next.image)) image.src = next.image;
       draw();
     },
-    setShow(/** @type {Show} */ next) {
-      show = next;
-      draw();
-    },
+    /** Shows why there is no picture; null: there is one. */
+    setProblem: (/** @type {unknown} */ error) => showProblem(problem, error),
     close() {
-      size.disconnect();
+      resizing.disconnect();
       cancelAnimationFrame(pending);
     },
   };
@@ -124,13 +143,10 @@ function paintPoints(
   /** @type {Shown} */ { camera, points },
   /** @type {number} */ size,
 ) {
-  const depths = points
-    .map((point) => point[2])
-    .filter((z) => z > 0)
-    .sort((a, b) => a - b);
+  const depths = points.map((point) => point[2]).filter((z) => z > 0);
   if (depths.length === 0) return;
-  const near = depths[Math.floor(depths.length * 0.02)];
-  const far = Math.max(near * 1.01, depths[Math.floor((depths.length - 1) * 0.98)]);
+  const near = quantile(depths, 0.02);
+  const far = Math.max(near * 1.01, quantile(depths, 0.98));
   for (const point of points) {
     const px = project(camera, point);
     if (px === null) continue;
@@ -176,53 +192,4 @@ function paintLine(
     isDown = px !== null;
   }
   context.stroke();
-}
-
-// -- its panel: which recording it shows, and how
-
-/**
- * @param {Api.ProjectInfo["recordings"]} recordings
- * @param {{ onRecording: () => unknown, onMissing: (url: string) => unknown }} options
- *     `onRecording`: another recording was chosen; `onMissing`: its image could not be loaded.
- */
-export function createPicturePanel(recordings, { onRecording, onMissing }) {
-  const host = h("div", { class: "picture" });
-  const problem = h("p", { class: "error-box", role: "alert", hidden: true, "data-testid": "alignment-problem" });
-  const chosen = h(
-    "select",
-    { "aria-label": "Recording", "data-testid": "alignment-recording", onchange: onRecording },
-    ...recordings.map(({ id, name }) => h("option", { value: String(id) }, name)),
-  );
-  const points = h("input", { type: "checkbox", checked: true, onchange: display, "data-testid": "show-points" });
-  const level = h("input", { type: "checkbox", checked: true, onchange: display, "data-testid": "show-level" });
-  const size = h("input", { type: "range", min: 1, max: 8, step: 0.5, value: "2", oninput: display });
-  const picture = createPicture(host, onMissing);
-
-  function display() {
-    picture.setShow({ points: points.checked, level: level.checked, size: Number(size.value) });
-  }
-
-  const header = h(
-    "header",
-    {},
-    h("h2", { class: "ellipsis" }, "Cloud over image"),
-    chosen,
-    h("span", { class: "grow" }),
-    h("label", { class: "row" }, points, "points"),
-    h("label", { class: "row", title: "Size of the points" }, size),
-    h("label", { class: "row" }, level, "level"),
-  );
-  const help = "Near points are red, far ones blue. The wheel zooms; drag to move the picture.";
-  return {
-    root: h("section", { class: "panel" }, header, problem, host, h("footer", { class: "help" }, help)),
-    host,
-    chosen,
-    set: picture.set,
-    close: picture.close,
-    /** @param {string | null} text null: no problem. */
-    setProblem(text) {
-      problem.textContent = text;
-      problem.hidden = text === null;
-    },
-  };
 }

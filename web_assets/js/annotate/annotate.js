@@ -13,7 +13,9 @@ import { askClass } from "../classes/picker.js";
 import { button, h } from "../dom.js";
 import { createFrameProblem } from "../frame_problem.js";
 import { showHints } from "../messages.js";
+import { addRecordings } from "../start/recordings.js";
 import { createActions } from "./actions.js";
+import { createAreas } from "./areas.js";
 import { createNextClass } from "./class_picker.js";
 import { createCommands } from "./commands.js";
 import { createDesk, isOpen } from "./desk.js";
@@ -33,7 +35,7 @@ import { createTracks, OPERATIONS } from "./tracks.js";
 
 /** Whether the top view is shown in place of the 3D view. */
 const MAP_KEPT = "top-view";
-/** A picture with a greater ratio of width to height gets a wider panel. */
+/** A picture with a greater ratio of width to height gets a wider place. */
 const WIDE_ASPECT = 1.9;
 
 /** For a key that acts on one box only: while it is held down, it does not act on the following ones. */
@@ -45,11 +47,12 @@ const once =
 export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
   root.classList.add("fixed");
   if (app.state.project.frames === 0) {
-    root.append(emptyProject(app.state.project.name));
+    root.append(emptyProject(app));
     return { unmount() {} };
   }
   const parts = layout();
   root.append(parts.root);
+  const areas = createAreas(parts.root);
   showHints(parts.problem, parts.hint, parts.saving);
   const desk = createDesk(app);
   const queue = createQueue(app, showQueue);
@@ -58,9 +61,9 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     queue,
     onLoading() {
       showBusy();
-      showActions();
+      if (opening.loading) showActions();
+      else showAll();
     },
-    onOpened: showAll,
     onProblem(error, frame) {
       scene.fail(frame);
       if (error === null) problem.hide();
@@ -70,7 +73,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   const { go } = opening;
   const goInQueue = (/** @type {Target} */ target) => go(target, true);
   const queueList = createQueueList(parts.queue, app, queue, { open: goInQueue });
-  const boxList = createBoxList(parts.boxes, app, desk, () => teach);
+  const boxList = createBoxList(parts.boxes, app, desk, () => teach, showBest);
   const picker = createNextClass(parts.classes, app);
   const preload = createPreload(app, desk, queue);
   const sheet = createSheet(app, {
@@ -110,6 +113,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   const scene = createScene(parts.scene, app, desk, () => teach);
   const map = createMap(parts.map, app, desk, {
     onPlace: (point) => commands.placeAt(point),
+    onOpen: showBest,
     onClose: () => turnMap(false),
   });
   turnMap(localStorage.getItem(MAP_KEPT) === "true");
@@ -201,6 +205,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   /** The object that is drawn has changed. */
   function showDrawn() {
     showBusy();
+    if (opening.loading) return;
     image.show();
     boxList.show();
     showActions();
@@ -215,12 +220,19 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     map.turn(on);
   }
 
+  /** Goes to the camera that sees a box of the moment best. */
+  function showBest(/** @type {string} */ uid) {
+    if (opening.opened !== null && desk.stored(uid)) void go({ frame: opening.opened, uid });
+  }
+
   function setGizmo(/** @type {Api.Gizmo} */ mode) {
     scene.setGizmo(mode);
     showActions();
   }
 
   function showAll() {
+    // the next frame is shown once, when its box is selected
+    if (opening.loading) return;
     const picture = app.state.frame?.image;
     parts.root.classList.toggle("wide", picture !== undefined && picture.width > WIDE_ASPECT * picture.height);
     image.show();
@@ -232,8 +244,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     const track = desk.stored()?.track_id ?? null;
     if (track !== app.state.track) app.state.set({ track });
     showQueue();
-    // not the old frame again while the next one is being opened
-    if (!opening.loading) scene.show();
+    scene.show();
     map.show();
     void ortho.show();
   }
@@ -260,7 +271,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       "follow-all": once(() => commands.followAll("forward")),
       "follow-all-back": once(() => commands.followAll("backward")),
       "copy-next": once(() => commands.whenCalm(() => tracks.copyToNext())),
-      carry: once(() => commands.whenCalm(() => tracks.carry())),
       ...Object.fromEntries(
         Object.entries(OPERATIONS)
           .filter(([, { key }]) => key)
@@ -271,6 +281,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       "previous-of-track": once(() => commands.whenCalm(() => tracks.step(-1))),
       "next-box": () => commands.stepBox(1),
       "previous-box": () => commands.stepBox(-1),
+      "next-camera": once(() => commands.whenCalm(commands.nextCamera)),
       "next-frame": () => opening.step("next"),
       "previous-frame": () => opening.step("previous"),
       "draw-box": once(commands.draw),
@@ -283,6 +294,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
         ortho.fit();
         teach.fit();
       },
+      areas: once(areas.swap),
       "top-view": once(() => turnMap(!map.isShown)),
       teach: once(() => teach.turn(!teach.isOn)),
       "next-whole-box": once(() => teach.nextWhole()),
@@ -415,12 +427,9 @@ export function layout() {
   const part = (/** @type {string} */ name, /** @type {string} */ label) =>
     h("section", { class: `panel ${name}`, "aria-label": label });
   const queue = part("queue", "Queue");
-  const boxes = h("div", { class: "panel of-frame" });
-  const track = h("div", { class: "of-track" });
-  const ofFrame = part("frame-boxes", "Boxes of this frame");
-  ofFrame.append(boxes, track);
+  const boxes = part("of-frame", "Boxes of this frame");
   const classes = part("next-class", "Class of the next box");
-  const imagePanel = part("image", "Camera image");
+  const image = part("image", "Camera image");
   const scene = part("scene", "3D view");
   const sceneHead = h("header", {});
   scene.append(sceneHead);
@@ -429,16 +438,21 @@ export function layout() {
   const object = h("div", { class: "object" }, ortho);
   const problem = h("span", {});
   const fields = part("fields", "Selected box");
+  const track = h("div", { class: "of-track" });
   const actions = h("div", { class: "actions", role: "toolbar", "aria-label": "Actions" });
   const saving = h("span", { class: "muted", role: "status", "data-testid": "saving" });
   const hint = h("span", { class: "ellipsis", role: "status", "data-testid": "image-note" });
   const root = h(
     "div",
     { class: "annotate" },
-    h("div", { class: "side" }, queue, ofFrame, classes),
-    h("div", { class: "pictures" }, imagePanel, scene, map),
-    actions,
-    h("div", { class: "details" }, object, fields),
+    h("h1", { class: "visually-hidden" }, "Annotate"),
+    h("div", { class: "lists" }, queue, boxes, classes),
+    image,
+    scene,
+    map,
+    h("div", { class: "bar" }, actions),
+    object,
+    h("div", { class: "numbers" }, fields, track),
   );
   return {
     root,
@@ -447,7 +461,7 @@ export function layout() {
     boxes,
     track,
     classes,
-    image: imagePanel,
+    image,
     scene,
     sceneHead,
     map,
@@ -461,12 +475,22 @@ export function layout() {
 }
 
 /** Shown in place of the panels if the project has no frame. */
-export function emptyProject(/** @type {string} */ name) {
+export function emptyProject(/** @type {ModeApp} */ app) {
+  const { name } = app.state.project;
+  const add = async () => {
+    await addRecordings(app, name);
+    await app.refreshProject();
+    app.go(location.hash);
+  };
   return h(
     "div",
     { class: "empty", "data-testid": "no-frames" },
     h("h2", {}, `${name} has no recording yet`),
-    h("p", {}, "Add one on the start page; its frames are then shown here."),
-    h("a", { class: "button", href: "#/" }, "Go to the start page"),
+    h(
+      "p",
+      {},
+      "A recording is a folder or file of images and depth, of point clouds, or of both. Its files stay where they are.",
+    ),
+    button("Add recordings", add, { class: "primary" }),
   );
 }

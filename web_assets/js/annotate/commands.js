@@ -4,6 +4,7 @@ import { headingTurned, sameBox } from "../box3d.js";
 import { confirm } from "../dialogs.js";
 import { count } from "../dom.js";
 import { currentFrame } from "../frame_state.js";
+import { makeHash } from "../router.js";
 import { isOpen } from "./desk.js";
 import { mostDoubtful } from "./opening.js";
 import { copiedText } from "./tracks.js";
@@ -29,6 +30,8 @@ const LABEL_ELSEWHERE =
  */
 export function createCommands(app, { desk, queue, opening, follow, image, ortho, teach, map, picker, root }) {
   let isPlacing = false;
+  /** The cameras to which a key went for the selected box. @type {{ uid: string | null, seen: Set<number> }} */
+  let tour = { uid: null, seen: new Set() };
 
   function stepBox(/** @type {number} */ by) {
     const uids = desk.labels().map(({ uid }) => uid);
@@ -49,16 +52,24 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     const isRemoved = kind === "delete" || (kind === "reject" && label.isNew);
     // a frame to draw on is left only when asked: it may have more objects
     const isBox = next === null || next.uid !== null;
-    if (opening.inQueue && isBox && (!isRemoved || next?.frame === frame)) return next;
-    const open = mostDoubtful(desk.labels().filter((one) => isOpen(one) && one.uid !== label.uid));
-    return open ? { frame, uid: open.uid } : null;
+    if (opening.inQueue && isBox && (!isRemoved || (next && desk.stored(next.uid)))) return next;
+    return openHere(label.uid);
+  }
+
+  /**
+   * The most doubtful open box of the frame, but not this one.
+   *
+   * @returns {Target | null}
+   */
+  function openHere(/** @type {string | null} */ but = null) {
+    const open = mostDoubtful(desk.labels().filter((one) => isOpen(one) && one.uid !== but));
+    return open ? { frame: currentFrame(app).frame.id, uid: open.uid } : null;
   }
 
   /** Selects the most doubtful open box of the frame if nothing is selected, or else goes on in the queue. */
   function goOn() {
-    const next = queue.after(null, opening.opened);
-    if (desk.labels().some(isOpen)) opening.pick(null);
-    else if (opening.inQueue && next) void opening.go(next, true);
+    const next = openHere() ?? (opening.inQueue ? queue.after(null, opening.opened) : null);
+    if (next) void opening.go(next, opening.inQueue);
     else sayReviewed();
   }
 
@@ -80,8 +91,9 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     const next = kind === "accept" && label.isNew ? null : nextAfter(kind, label);
     if (!next && kind === "accept" && isReviewed(label)) sayReviewed();
     const saved = save(kind, label);
-    // a box of the same frame is selected at once; another frame is opened after saving
-    if (next?.frame === frame) desk.select(next.uid);
+    // a box that the image shows is selected at once; another frame is opened after saving
+    const isHere = next !== null && opening.isShown(next.uid);
+    if (isHere) desk.select(next.uid);
     else if (next) opening.setLoading(true);
     const isSaved = await saved;
     // the operator has opened another frame in the meantime
@@ -91,7 +103,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
       if (app.state.frame?.frame.id === frame) desk.select(label.uid);
       return;
     }
-    if (next && next.frame !== frame) await opening.go(next, true);
+    if (next && !isHere) await opening.go(next, opening.inQueue);
     else if (!next && kind !== "accept") opening.pick(null);
   }
 
@@ -115,10 +127,8 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     if (!label) return;
     const before = opening.openings;
     if (!(await desk.commit()) || !(await desk.acceptAll()) || before !== opening.openings) return;
-    const left = desk.labels().find(isOpen);
-    const next = queue.after(label.uid, opening.opened);
-    if (left) desk.select(left.uid);
-    else if (next && opening.inQueue) await opening.go(next, true);
+    const next = openHere() ?? (opening.inQueue ? queue.after(label.uid, opening.opened) : null);
+    if (next) await opening.go(next, opening.inQueue);
   }
 
   async function refit() {
@@ -126,7 +136,6 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     if (!label) return;
     const { id } = currentFrame(app).frame;
     try {
-      /** @type {Api.FitOut} */
       const { box, note, measured_by } = await app.api.post(app.path("frames", id, "refit"), {
         box: label.box,
         label: label.label,
@@ -255,6 +264,23 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     else desk.select(null);
   }
 
+  /**
+   * Goes to the next camera of the moment: to those that see the selected object, the best first, then to the others.
+   */
+  function nextCamera() {
+    if (opening.opened === null) return;
+    const uid = desk.uid;
+    if (tour.uid !== uid) tour = { uid, seen: new Set() };
+    tour.seen.add(opening.opened);
+    const all = Object.values(currentFrame(app).frame.cameras);
+    const at = all.indexOf(opening.opened);
+    const ordered = [...(desk.shown?.seen_by ?? []), ...all.slice(at + 1), ...all.slice(0, at)];
+    const next = ordered.find((frame) => !tour.seen.has(frame));
+    if (next === undefined) tour.seen.clear();
+    const target = next ?? ordered.find((frame) => frame !== opening.opened);
+    if (target !== undefined) app.go(makeHash(app.state.project.name, "annotate", target));
+  }
+
   /** Draws a new box on the image, or stops that. */
   const draw = () => (image.isDrawing || !canDraw() ? image.draw(null) : image.drawUsual());
 
@@ -277,6 +303,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     stepBox,
     cancel,
     whenCalm,
+    nextCamera,
     followOne,
     followAll,
   };

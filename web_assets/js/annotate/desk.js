@@ -32,12 +32,6 @@ export function createDesk(/** @type {App} */ app) {
    * @type {Map<string | null, NewLabel>}
    */
   const added = new Map();
-  /**
-   * Boxes by uid, as they were before they were corrected on this page.
-   *
-   * @type {Map<string, Box3D>}
-   */
-  const former = new Map();
   let number = 0;
   /** @type {number | null} */
   let home = null;
@@ -78,9 +72,11 @@ export function createDesk(/** @type {App} */ app) {
    * Sends a change of the open frame for which the operator need not choose between two versions. If others have changed
    * the frame in the meantime, theirs is shown, and the change is refused, or sent again.
    *
-   * @param {string} what
+   * @template {string} What
+   * @param {What} what
    * @param {() => object} body
    * @param {boolean} [isSentAgain]
+   * @returns {Promise<Answer<"POST", ProjectPath<["frames", number, What]>>>}
    */
   function change(what, body, isSentAgain = false) {
     const { id } = currentFrame(app).frame;
@@ -120,7 +116,6 @@ export function createDesk(/** @type {App} */ app) {
   ) {
     const body = { revision: currentFrame(app).frame.revision, changes, subject };
     try {
-      /** @type {Api.ChangedJson} */
       const { moved, ...state } = await app.api.change(app.path("frames", id, "changes"), body);
       app.frames.take(state);
       if (moved > 0) app.toast(`${count(moved, "unreviewed box", "unreviewed boxes")} of the track moved along.`);
@@ -248,7 +243,6 @@ export function createDesk(/** @type {App} */ app) {
       ? { kind: "track", uid: id, track_id }
       : { kind: "edit", uid: id, label, box, track_id, box_kind: before && fillSame(before.box, box) ? null : "box" };
     const error = await send([change], id);
-    if (!error && before && !former.has(id) && !sameBox(before.box, box)) former.set(id, copyBox(before.box));
     if (draft.sending === wanted) draft.sending = null;
     draft.problem = error;
     if (!error && draft.wanted === wanted && drafts.get(id) === draft) drafts.delete(id);
@@ -298,8 +292,6 @@ export function createDesk(/** @type {App} */ app) {
       return label && seen(label);
     },
 
-    /** A stored box as it was before it was corrected on this page, or null. */
-    formerBox: (/** @type {string} */ id) => former.get(id) ?? null,
     isDraft: (/** @type {string} */ id) => drafts.has(id),
     /** The box on the image in which a new box was found, or null. */
     imageBox: (/** @type {string} */ id) => added.get(id)?.image_box ?? null,
@@ -332,6 +324,8 @@ export function createDesk(/** @type {App} */ app) {
         attributes: {},
         kept: false,
         heading_beside: null,
+        seen_by: [],
+        better_in: null,
       };
       added.set(uid, { label, image_box, found: fit.box, actions: 1, problem: null, sending: null });
       notify("selection");
@@ -413,9 +407,9 @@ export function createDesk(/** @type {App} */ app) {
       return !error;
     },
 
-    /** Accepts the stored proposals of the frame, as one action. */
+    /** Accepts the stored proposals that the camera shows, as one action. */
     async acceptAll() {
-      const open = (app.state.frame?.labels ?? []).filter(isOpen);
+      const open = (app.state.frame?.labels ?? []).filter((label) => isOpen(label) && label.better_in === null);
       app.effort.action();
       return (
         open.length === 0 ||

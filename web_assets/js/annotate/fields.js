@@ -50,11 +50,8 @@ export function createFields(
   });
   const attributes = h("fieldset", { class: "wide", hidden: true, "data-testid": "attributes" });
   const form = h("form", { class: "box-fields", "data-testid": "fields" });
-  const nothing = h(
-    "div",
-    { class: "empty" },
-    h("p", {}, "No box is selected. Press Tab for the next one, or click a box on the image or in the 3D view."),
-  );
+  const advice = h("p", {});
+  const nothing = h("div", { class: "empty" }, advice);
   host.replaceChildren(h("header", {}, title, h("span", { class: "grow" }), chip), problem, form, nothing);
 
   function number(
@@ -229,6 +226,9 @@ export function createFields(
     nothing.hidden = Boolean(label);
     title.textContent = label ? label.label : "Box";
     showProblem();
+    advice.textContent = desk.labels().length
+      ? "No box is selected. Press Tab for the next one, or click a box on the image or in the 3D view."
+      : "No box is here yet. Drag one around an object on the image, and take it with Space.";
     if (!label) return;
     const state = desk.hasDraft ? "not saved" : label.isNew ? "new" : label.state;
     chip.textContent = state;
@@ -269,19 +269,18 @@ function describe(/** @type {PageLabel} */ label) {
     ["Score", label.score === null ? "–" : label.score.toFixed(2), scorer(label)],
     ["Created by", label.source === "auto" ? "proposal" : label.source, "who created the box"],
     ["Changed by", label.author, "who changed it last"],
-    ["Doubt", percent(label.doubt), "sets the 'Most doubtful first' order of the queue"],
+    [
+      "Doubt",
+      percent(label.doubt),
+      `sets the 'Most doubtful first' order of the queue. The views differ by ${percent(quality?.view_disagreement)} ` +
+        `of the box's size; ${percent(quality?.kept_share)} of the last view's points are in the box; the last ` +
+        `measurement changed it by ${percent(quality?.last_change)}`,
+    ],
     [
       "May be off by",
       percent(quality?.expected_iou_loss),
       "expected 1 - IoU with the true box, from how well the views fit",
     ],
-    [
-      "Views differ",
-      percent(quality?.view_disagreement),
-      "how much the views' measurements differ, of the box's size",
-    ],
-    ["Points in box", percent(quality?.kept_share), "share of the last view's points that are in the box"],
-    ["Still moved by", percent(quality?.last_change), "how much the last measurement changed the box"],
   ];
   const facts = rows.map(([name, value, help]) =>
     h("div", { title: `${name}: ${value}, ${help}` }, h("dt", {}, name), h("dd", { class: "number ellipsis" }, value)),

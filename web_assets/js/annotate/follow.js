@@ -51,7 +51,6 @@ export function createFollow(host, app, desk, { open, onFirst }) {
   async function load() {
     const before = run;
     try {
-      /** @type {Api.FollowRunJson | null} */
       const answer = await app.api.get(app.path("follow"));
       if (answer) {
         take(answer);
@@ -93,10 +92,11 @@ export function createFollow(host, app, desk, { open, onFirst }) {
     const present = run;
     const isRunning = run.state === "running";
     body.dataset.state = run.state;
-    const how = `${run.direction} ${run.has_detector ? "with the project's detector" : "by points"}`;
-    title.textContent = { running: "Following", done: "Followed", stopped: "Stopped", failed: "Failed", undone: "" }[
-      run.state
-    ].concat(` ${how}`);
+    const isFit = run.direction === "between";
+    const how = `${isFit ? "filled boxes" : run.direction} ${run.has_detector ? "with the project's detector" : "by points"}`;
+    const states = { stopped: "Stopped", failed: "Failed", undone: "" };
+    const [running, done] = isFit ? ["Fitting", "Fitted"] : ["Following", "Followed"];
+    title.textContent = `${{ ...states, running, done }[run.state]} ${how}`;
     title.title = title.textContent;
     stop.hidden = !isRunning;
     bar.style.visibility = isRunning ? "visible" : "hidden";
@@ -134,7 +134,6 @@ export function createFollow(host, app, desk, { open, onFirst }) {
     const own = { frame: id, number: /** @type {number | null} */ (null) };
     begun = own;
     try {
-      /** @type {Api.FollowRunJson} */
       const answer = await desk.change("follow", () => ({ uid, direction }));
       own.number = answer.number;
       take(answer);
@@ -152,7 +151,7 @@ export function createFollow(host, app, desk, { open, onFirst }) {
     start,
     /** Whether more boxes of a track are being found. */
     isFollowed: (/** @type {number} */ track) =>
-      run?.state === "running" && run.tracks.some(({ track_id }) => track_id === track),
+      run?.state === "running" && run.direction !== "between" && run.tracks.some(({ track_id }) => track_id === track),
     destroy() {
       for (const off of stopEvents) off();
     },
@@ -161,7 +160,7 @@ export function createFollow(host, app, desk, { open, onFirst }) {
 
 /** How far an object was followed; empty while it is not known, and if it has not come so far. */
 function reached(/** @type {Api.FollowRunJson} */ run, /** @type {Api.FollowedTrack} */ track) {
-  if (run.state !== "done" || track.stops.length > 0) return "";
+  if (run.state !== "done" || run.direction === "between" || track.stops.length > 0) return "";
   if (!track.is_open) return ", to its next reviewed box";
   return `, to the recording's ${run.direction === "backward" ? "first" : "last"} frame`;
 }

@@ -80,7 +80,6 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     newLabel: () => chosen ?? wanted ?? nextClass(),
     onDrag: ({ length }, index) => onDrag(length > items.length && index >= items.length),
     onOverlay: (uid) => (uid === "whole" ? teach().accept() : desk.select(uid)),
-    onEnter: () => false,
     onSelect(index) {
       if (index < 0) teach().release();
       else if (items[index] && !isDashed(index)) teach().open(items[index]);
@@ -192,6 +191,7 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     if (frame.finalised) return "finalised";
     const hint = teach().hint();
     if (hint) return hint;
+    if (desk.shown && desk.shown.better_in !== null) return "Another camera sees this object better. K goes there.";
     return desk.labels().length === 0 ? "Drag a box around an object to add it." : "";
   }
 

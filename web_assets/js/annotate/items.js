@@ -1,4 +1,4 @@
-/** The objects of a frame in Label mode: an image box with up to four boxes on its pseudo-views (`Item`). */
+/** The objects of a frame as they are drawn: an image box with up to four boxes on its pseudo-views (`Item`). */
 
 export const VIEWS = 4;
 /** Drags that an object needs: the image box and four boxes on views. */

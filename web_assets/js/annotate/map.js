@@ -38,10 +38,10 @@ export function mapAxes(/** @type {Vector | null} */ up) {
  * @param {HTMLElement} host
  * @param {ModeApp} app
  * @param {Desk} desk
- * @param {{ onPlace: (point: Vector) => void, onClose: () => void }} parts onPlace: called with a point of the camera
- *     frame, above or below which a box is to be placed.
+ * @param {{ onPlace: (point: Vector) => void, onOpen: (uid: string) => void, onClose: () => void }} parts onPlace: called
+ *     with a point of the camera frame, above or below which a box is to be placed; onOpen: with a double-clicked box.
  */
-export function createMap(host, app, desk, { onPlace, onClose }) {
+export function createMap(host, app, desk, { onPlace, onOpen, onClose }) {
   const picture = h("img", { class: "picture", alt: "", draggable: "false" });
   const svg = s("svg", { class: "shapes", "aria-hidden": "true" });
   const root = h(
@@ -258,9 +258,11 @@ export function createMap(host, app, desk, { onPlace, onClose }) {
     else if (ended.kind !== "pan") void desk.commit();
   }
 
+  const boxAt = (/** @type {Point} */ at) => seen().find((label) => isInHull(outlineOf(desk.seen(label).box), at));
+
   function click(/** @type {Point} */ at) {
-    const hits = seen().filter((label) => isInHull(outlineOf(desk.seen(label).box), at));
-    if (hits.length) return desk.select(hits[0].uid);
+    const hit = boxAt(at);
+    if (hit) return desk.select(hit.uid);
     const [x, y] = at.map((value, i) => plane.origin_m[i] + value * plane.metres_per_px);
     onPlace(add(scale(plane.axes[0], x), scale(plane.axes[1], y)));
   }
@@ -292,6 +294,10 @@ export function createMap(host, app, desk, { onPlace, onClose }) {
   root.addEventListener("pointermove", onMove);
   root.addEventListener("pointerup", onUp);
   root.addEventListener("pointercancel", cancel);
+  root.addEventListener("dblclick", (event) => {
+    const hit = boxAt(pointOf(event));
+    if (hit) onOpen(hit.uid);
+  });
   root.addEventListener("wheel", onWheel, { passive: false });
   const watcher = new ResizeObserver(([{ contentRect }]) => {
     const isFirst = !size.width;

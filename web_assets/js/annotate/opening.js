@@ -7,18 +7,19 @@ import { isOpen } from "./desk.js";
 
 /** The frame that was taken from the queue last, with its project; it stays so when the page is loaded again. */
 const FROM_QUEUE = "frame-from-queue";
+/** What is not looked at comes so long after a frame was opened, ms. */
+export const REST_MS = 300;
 
 /**
  * @param {ModeApp} app
  * @param {object} parts
  * @param {Desk} parts.desk
  * @param {Queue} parts.queue
- * @param {() => void} parts.onLoading called when opening a frame begins or ends.
- * @param {() => void} parts.onOpened called when a frame was opened, or cannot be read.
+ * @param {() => void} parts.onLoading called when opening a frame begins or ends, also if it cannot be read.
  * @param {(error: unknown, frame: number | null) => void} parts.onProblem called with the reason why a frame cannot be
  *     read, or with null.
  */
-export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem }) {
+export function createOpening(app, { desk, queue, onLoading, onProblem }) {
   const { project } = app.state.route;
   let loading = false;
   let openings = 0;
@@ -42,13 +43,15 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
   }
 
   /**
-   * Opens a frame, and selects the label, or else the track. Resolves to false if the operator stays with the open one, to null if yet another one is opened.
+   * Opens a frame, and selects the label, or else the track. Resolves to false if the operator stays with the open one,
+   * to null if yet another one is opened.
+   *
+   * @param {number} id
+   * @param {string | null} uid
+   * @param {number | null} [track]
+   * @param {boolean} [isAsItIs] no other camera of the moment is opened in its place, though it may see the label better.
    */
-  async function open(
-    /** @type {number} */ id,
-    /** @type {string | null} */ uid,
-    /** @type {number | null} */ track = null,
-  ) {
+  async function open(id, uid, track = null, isAsItIs = true) {
     openings += 1;
     const own = openings;
     setLoading(true);
@@ -59,21 +62,20 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
       // app.state may still have an old state from another mode
       if (opened !== id || !desk.stored(uid)) {
         desk.select(null);
-        await app.loadFrame(id);
+        const { frame } = await app.loadFrame(id, isAsItIs ? null : uid);
         // the first one may be that of a page that was loaded again; `go` says if another one is the queue's, too
-        if (opened !== id && own > 1) sessionStorage.removeItem(FROM_QUEUE);
-        opened = id;
+        if (opened !== frame.id && own > 1) sessionStorage.removeItem(FROM_QUEUE);
+        opened = frame.id;
         showProblem(null);
       }
       pick(uid, track);
+      // one that was read ahead is read again, when it is shown
+      setTimeout(() => own === openings && desk.refresh().catch(app.toast), REST_MS);
     } catch (error) {
       if (own !== openings || isAborted(error)) return null;
       showProblem(error, id);
     } finally {
-      if (own === openings) {
-        setLoading(false);
-        onOpened();
-      }
+      if (own === openings) setLoading(false);
     }
     return true;
   }
@@ -100,17 +102,20 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
   const ofTrack = (/** @type {number | null} */ track) =>
     desk.labels().find((label) => track !== null && label.track_id === track && label.state !== "rejected");
 
+  /** True if a box is in the open frame, whose camera sees it as well as any. */
+  const isShown = (/** @type {string | null} */ uid) => desk.stored(uid)?.better_in === null;
+
   /**
-   * Opens a box, and puts its frame into the address.
+   * Opens a box where it is seen best, and puts its frame into the address.
    *
    * @param {Target} options
    * @param {boolean} [isFromQueue] it is the queue's next one, so that the queue goes on from here.
    */
   async function go({ frame, uid }, isFromQueue = false) {
-    if (frame === opened && desk.stored(uid)) desk.select(uid);
-    else if (!(await open(frame, uid))) return;
-    if (isFromQueue) sessionStorage.setItem(FROM_QUEUE, `${project}/${frame}`);
-    app.go(makeHash(project, "annotate", frame));
+    if (isShown(uid)) desk.select(uid);
+    else if (!(await open(desk.stored(uid)?.better_in ?? frame, uid, null, false))) return;
+    if (isFromQueue) sessionStorage.setItem(FROM_QUEUE, `${project}/${opened}`);
+    app.go(makeHash(project, "annotate", opened));
   }
 
   /** Opens the next or previous frame in time; while the queue has frames to draw on, its next one. */
@@ -137,9 +142,8 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
     if (frame !== null)
       return open(frame, query.get("uid") ?? queue.items.find((item) => item.frame === frame)?.uid ?? null);
     if (queue.items[0]) return go(queue.items[0], true);
-    /** @type {number} */
     const first = await app.api.get(app.path("first-frame"));
-    return go({ frame: first, uid: null });
+    if (first !== null) return go({ frame: first, uid: null });
   }
 
   return {
@@ -164,6 +168,7 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
       return broken;
     },
     setLoading,
+    isShown,
     open,
     go,
     pick,
@@ -176,5 +181,8 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
 export const trackIn = (/** @type {URLSearchParams} */ query) =>
   query.has("track") ? Number(query.get("track")) : null;
 
+/** The most doubtful label, of those that the camera shows if there are any. */
 export const mostDoubtful = (/** @type {PageLabel[]} */ labels) =>
-  labels.toSorted((a, b) => (b.doubt ?? 0) - (a.doubt ?? 0))[0];
+  labels.toSorted(
+    (a, b) => Number(b.better_in === null) - Number(a.better_in === null) || (b.doubt ?? 0) - (a.doubt ?? 0),
+  )[0];

@@ -46,7 +46,8 @@ export function createOrthoViews(
   /** @type {ReturnType<typeof import("./preload.js").createPreload>} */ preload,
 ) {
   const panels = NAMES.map((name) => createPanel(name, desk));
-  host.append(...panels.map(({ root }) => root));
+  const note = h("p", { class: "note" }, "A box is seen here from above, from the front and from its right.");
+  host.append(...panels.map(({ root }) => root), note);
   /** @type {{ frame: number, box: Box3D } | null} */
   let fetched = null;
   /** @type {AbortController | null} */
@@ -123,10 +124,6 @@ export function createOrthoViews(
       for (const { editor } of panels) editor.fit();
     },
 
-    /** Passes a key to the focused view; true if the view handles it. */
-    key: (/** @type {KeyboardEvent} */ event) =>
-      panels.find(({ editor }) => editor.root === document.activeElement)?.editor.key(event) ?? false,
-
     destroy() {
       request?.abort();
       for (const { editor } of panels) editor.destroy();
@@ -158,7 +155,7 @@ function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
   const editor = createEditor(body, {
     label: `${TITLES[name]} view of the selected box`,
     single: true,
-    canDraw: false,
+    canDraw: () => false,
     canDelete: false,
     clip: false,
     color,
@@ -186,7 +183,6 @@ function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
       void desk.commit();
     },
   });
-  editor.setHandles({ edges: true, corners: true, rotate: true });
 
   let isPointer = false;
   const setPointer = (/** @type {Event} */ { type }) => {
@@ -235,7 +231,7 @@ function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
       editor.setOverlays([heading(view, box)]);
     } else if (isAligned(view, box)) {
       editor.setBoxes([{ ...viewRect(view, box), label: "", caption: "" }], 0);
-      editor.setHandles({ sight: sightOn(view, box) });
+      editor.setSight(sightOn(view, box));
       editor.setOverlays([heading(view, box)]);
     } else {
       editor.setBoxes([]);

@@ -22,6 +22,13 @@ export function createPreload(/** @type {App} */ app, /** @type {Desk} */ desk, 
    */
   const drawn = new Set();
   let isHeld = false;
+  /** What the browser keeps decoded. @type {HTMLImageElement[]} */
+  let pictures = [];
+
+  function keep(/** @type {string[]} */ urls) {
+    pictures = urls.map((url) => Object.assign(new Image(), { src: url }));
+    for (const picture of pictures) picture.decode().catch(() => {});
+  }
 
   async function start() {
     request?.abort();
@@ -39,17 +46,19 @@ export function createPreload(/** @type {App} */ app, /** @type {Desk} */ desk, 
       const known = app.state.frame;
       /** @type {FrameState} */
       const state =
-        known?.frame.id === next.frame ? known : await app.api.get(app.path("frames", next.frame), { signal });
+        known && desk.stored(next.uid)?.better_in === null
+          ? known
+          : await app.frames.prepare(next.frame, next.uid, { signal });
+      const { id } = state.frame;
       const box = state.labels.find(({ uid }) => uid === next.uid)?.box;
-      if (state !== known) show(state.image.url);
-      if (!box || (ahead && ahead.frame === next.frame && sameBox(ahead.box, box))) return;
-      const path = app.path("frames", next.frame, "ortho");
-      /** @type {Api.OrthoView[]} */
+      if (state !== known) keep([state.image.url]);
+      if (!box || (ahead && ahead.frame === id && sameBox(ahead.box, box))) return;
+      const path = app.path("frames", id, "ortho");
       const views = await app.api.post(path, { box, size_px: SIZE_PX }, { signal });
-      ahead = { frame: next.frame, box, views };
-      for (const { url } of views) show(url);
+      ahead = { frame: id, box, views };
+      keep([state.image.url, ...views.map(({ url }) => url)]);
       // the server keeps what it has drawn
-      if (state !== known) await app.api.lines(app.path("frames", next.frame, "sheet"), () => {}, { signal });
+      if (state !== known) await app.api.lines(app.path("frames", id, "sheet"), () => {}, { signal });
     } catch {
       // not ahead, then
     }
@@ -93,9 +102,4 @@ export function createPreload(/** @type {App} */ app, /** @type {Desk} */ desk, 
     take: (/** @type {number} */ frame, /** @type {Box3D} */ box) =>
       ahead && ahead.frame === frame && sameBox(ahead.box, box) ? ahead.views : null,
   };
-}
-
-/** Lets the browser keep a picture. */
-function show(/** @type {string} */ url) {
-  new Image().src = url;
 }

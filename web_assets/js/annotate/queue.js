@@ -1,5 +1,7 @@
 /** The queue of proposals to review, or of frames to draw on: its order, its filter, and the next item. */
 
+import { withQuery } from "../api.js";
+
 export const ORDERS = [
   ["worst", "Most doubtful first"],
   ["time", "In time order"],
@@ -30,17 +32,21 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
   let sources = {};
   /** @type {QueueItem[]} */
   let items = [];
+  /** Items that were reviewed, for an undo. @type {Map<string | null, QueueItem>} */
+  const reviewed = new Map();
   let remaining = 0;
+  /** How often something was chosen, and up to which choice the items are the answer. */
+  let [choices, answered] = [0, 0];
   let place = 0;
   let timer = 0;
   let ended = false;
 
   async function load() {
-    const query = new URLSearchParams({ order, ...(label ? { label } : {}), ...value });
-    if (source) query.set("source", source);
-    /** @type {Api.QueueOut} */
-    const answer = await app.api.get(`${app.path("queue")}?${query}`);
-    if (ended) return;
+    const query = { order, ...(label ? { label } : {}), ...value, ...(source ? { source } : {}) };
+    const own = choices;
+    const answer = await app.api.get(withQuery(app.path("queue"), query));
+    if (ended || own !== choices) return;
+    answered = own;
     items = answer.items;
     const hasMore = answer.remaining > remaining;
     remaining = answer.remaining;
@@ -60,6 +66,10 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
     load,
     get items() {
       return items;
+    },
+    /** Another number where the items are those of another choice. */
+    get answered() {
+      return answered;
     },
     get remaining() {
       return remaining;
@@ -86,6 +96,8 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
       source = changes.source ?? source;
       localStorage.setItem("queue-order", order);
       place = 0;
+      choices += 1;
+      reviewed.clear();
       await load();
     },
 
@@ -105,21 +117,27 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
       return others[0] ?? null;
     },
 
-    /** Removes the items that are reviewed in a frame's new state. */
+    /** Removes the items that are reviewed in a frame's new state; those that an undo has opened again come back. */
     settle(/** @type {FrameState} */ frame) {
       if (order === "teach") return this.reloadSoon();
       /** @type {Set<string | null>} */
       const open = new Set(frame.labels.filter(({ state }) => state === "proposed").map(({ uid }) => uid));
-      const gone = (/** @type {QueueItem} */ item) => item.frame === frame.frame.id && !open.has(item.uid);
+      // a label belongs to its moment, whose frames have the same
+      const moment = new Set(Object.values(frame.frame.cameras).concat(frame.frame.id));
+      const gone = (/** @type {QueueItem} */ item) => moment.has(item.frame) && !open.has(item.uid);
       const before = items.length;
       place -= items.slice(0, place).filter(gone).length;
+      for (const item of items.filter(gone)) reviewed.set(item.uid, item);
       items = items.filter((item) => !gone(item));
-      remaining = Math.max(items.length, remaining - (before - items.length));
       const known = new Set(items.map(({ uid }) => uid));
-      // an undo may restore proposals
+      const back = [...reviewed.values()].filter(({ uid }) => open.has(uid) && !known.has(uid));
+      for (const { uid } of back) reviewed.delete(uid);
+      items = items.toSpliced(place, 0, ...back);
+      remaining = Math.max(items.length, remaining - (before - items.length));
+      // an undo may restore proposals that are not known here
       const comesBack = !this.isFiltered && [...open].some((uid) => !known.has(uid));
       if (comesBack || (items.length < FEW && items.length < remaining)) this.reloadSoon();
-      if (items.length !== before) onChange();
+      if (items.length !== before || back.length > 0) onChange();
     },
 
     reloadSoon() {

@@ -72,7 +72,6 @@ export function createSheet(app, { desk, queue, preload, open, next, isFollowed 
 
   /** The boxes of a track that can be shown. */
   async function read(/** @type {number} */ recording, /** @type {number} */ track) {
-    /** @type {Api.TrackBox[]} */
     const boxes = await app.api.get(app.path("recordings", recording, "tracks", track));
     return boxes.filter(({ index, state }) => index !== null && state !== "rejected");
   }

@@ -1,13 +1,15 @@
 /** The column on the left: the queue of proposals, and the boxes of the open frame. */
 
 import { valuesText } from "../attributes.js";
+import { boxAxis } from "../box3d.js";
 import { button, count, h, iconButton, patch } from "../dom.js";
 import { isAborted } from "../errors.js";
-import { headingMark } from "../heading_mark.js";
+import { headingMark, jumpText } from "../heading_mark.js";
 import { isOpen } from "./desk.js";
 import { shortName } from "./drawing.js";
 import { summary } from "./fields.js";
 import { DRAGS, progressOf } from "./items.js";
+import { REST_MS } from "./opening.js";
 import { ORDERS, OWN } from "./queue.js";
 import { makeHash } from "../router.js";
 import { createValueFilter, refill } from "./value_filter.js";
@@ -54,6 +56,7 @@ export function createQueueList(
    * @type {QueueItem[]}
    */
   let standing = [];
+  let answered = 0;
   fill();
   order.value = queue.order;
   host.replaceChildren(
@@ -78,7 +81,6 @@ export function createQueueList(
   ) {
     // so that Space and the digits are keys of the mode again
     select?.blur();
-    standing = [];
     queue.choose(changes).then(() => queue.items[0] && go(queue.items[0]), app.toast);
   }
 
@@ -130,6 +132,8 @@ export function createQueueList(
       const frame = app.state.frame?.frame.id;
       const isShown = (/** @type {QueueItem} */ item) => (item.uid === null ? item.frame === frame : item.uid === uid);
       const open = new Map(queue.items.map((item) => [keyOf(item), item]));
+      if (answered !== queue.answered) standing = [];
+      answered = queue.answered;
       const known = new Set(standing.map(keyOf));
       const fresh = queue.items.filter((item) => !known.has(keyOf(item)));
       const isGoingOn = standing.some((item) => open.has(keyOf(item)));
@@ -137,9 +141,14 @@ export function createQueueList(
       const at = standing.findIndex(isShown);
       const from = Math.max(0, STEP * Math.floor((at - STEP / 2) / STEP));
       const recordings = new Map((app.state.project?.recordings ?? []).map(({ id, name }) => [id, name]));
-      const rows = standing
-        .slice(from, from + ROWS)
-        .map((item) => queueRow(item, recordings, { isCurrent: isShown(item), isDone: !open.has(keyOf(item)) }, go));
+      // as the list of the open frame has them; up is not known of other frames
+      const shown = new Map((app.state.frame?.labels ?? []).map(({ uid, box }) => [uid, box]));
+      const rows = standing.slice(from, from + ROWS).map((item) => {
+        const box = shown.get(item.uid ?? "");
+        const heading = box ? boxAxis(box, 0) : item.heading;
+        const arrow = heading && headingMark(heading, box ? (app.state.frame?.up ?? null) : null);
+        return queueRow(item, recordings, { isCurrent: isShown(item), isDone: !open.has(keyOf(item)), arrow }, go);
+      });
       patch(list, rows.length > 0 ? rows : h("li", { class: "muted pad" }, ...nothing()));
       // not again, so that an operator who looks elsewhere in the list is left there
       if (uid !== current) list.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
@@ -153,7 +162,7 @@ const keyOf = (/** @type {QueueItem} */ item) => item.uid ?? `frame ${item.frame
 function queueRow(
   /** @type {QueueItem} */ item,
   /** @type {Map<number, string>} */ recordings,
-  /** @type {{ isCurrent: boolean, isDone: boolean }} */ { isCurrent, isDone },
+  /** @type {{ isCurrent: boolean, isDone: boolean, arrow: HTMLElement | null }} */ { isCurrent, isDone, arrow },
   /** @type {(target: Target) => unknown} */ open,
 ) {
   const isOurs = item.sources.every((name) => name === OWN);
@@ -165,6 +174,7 @@ function queueRow(
       [
         h("span", { class: "ellipsis grow" }, item.label ?? "draw"),
         isOurs ? null : saidBy(item.sources),
+        arrow,
         doubtBar(item.doubt),
         h("span", { class: "muted place" }, place),
       ],
@@ -205,6 +215,7 @@ export function createBoxList(
   /** @type {ModeApp} */ app,
   /** @type {Desk} */ desk,
   /** @type {() => Teach} */ teach,
+  /** @type {(uid: string) => void} */ onOpen,
 ) {
   const title = h("h2", {}, "In this frame");
   const note = h("p", { class: "muted pad ellipsis", "data-testid": "frame-summary" });
@@ -229,7 +240,7 @@ export function createBoxList(
     const hasPictures = pictured === frame;
     patch(
       list,
-      labels.map((label) => boxRow(app, label, desk, hasPictures ? (pictures.get(label.uid) ?? "") : null)),
+      labels.map((label) => boxRow(app, label, desk, hasPictures ? (pictures.get(label.uid) ?? "") : null, onOpen)),
       teach().unfinished.map((item) => unfinishedRow(item, teach())),
     );
   }
@@ -247,6 +258,8 @@ export function createBoxList(
     const take = (/** @type {Api.TileJson} */ { uid, png }) =>
       png && pictures.set(uid, `data:image/png;base64,${png}`);
     try {
+      await new Promise((resolve) => setTimeout(resolve, REST_MS));
+      if (signal.aborted) return;
       await app.api.lines(app.path("frames", frame.id, "sheet"), take, { signal });
       if (!signal.aborted) draw();
     } catch (error) {
@@ -269,9 +282,11 @@ export function createBoxList(
  * @param {PageLabel} label
  * @param {Desk} desk
  * @param {string | null} picture "": not drawn yet; null: the box has none.
+ * @param {(uid: string) => void} onOpen
  */
-function boxRow(app, label, desk, picture) {
+function boxRow(app, label, desk, picture, onOpen) {
   const problem = desk.problemOf(label.uid);
+  const { box } = desk.seen(label);
   const state = problem ? "not saved" : label.isNew ? "new" : label.state;
   return h(
     "li",
@@ -279,8 +294,8 @@ function boxRow(app, label, desk, picture) {
     button(
       [
         h("span", { class: `dot state-${label.state}`, "aria-hidden": "true" }),
-        h("span", { class: "ellipsis grow" }, shortName(label)),
-        headingMark(desk.seen(label), app.state.frame?.up ?? null),
+        h("span", { class: label.better_in === null ? "ellipsis grow" : "muted ellipsis grow" }, shortName(label)),
+        headingMark(boxAxis(box, 0), app.state.frame?.up ?? null, jumpText({ ...label, box })),
         h("span", { class: problem ? "bad" : `state-${label.state}` }, state),
         picture !== null &&
           (picture ? h("img", { src: picture, alt: "", class: "small-views" }) : h("span", { class: "small-views" })),
@@ -289,14 +304,20 @@ function boxRow(app, label, desk, picture) {
       {
         class: "quiet row-button",
         "aria-current": label.uid === desk.uid ? "true" : null,
-        title: problem ? `Not saved. ${problem}` : valuesText(app, label) || null,
+        title: problem
+          ? `Not saved. ${problem}`
+          : [valuesText(app, label), elsewhere(label)].filter(Boolean).join(" · "),
         "data-testid": "frame-box",
         "data-uid": label.uid,
         "data-state": label.state,
+        ondblclick: () => onOpen(label.uid),
       },
     ),
   );
 }
+
+const elsewhere = (/** @type {PageLabel} */ { better_in }) =>
+  better_in === null ? "" : "another camera sees it better: a double click goes there";
 
 /** An object that is being drawn: it has no 3D box yet. */
 function unfinishedRow(/** @type {Item} */ item, /** @type {Teach} */ teach) {

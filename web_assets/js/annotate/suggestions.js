@@ -38,7 +38,6 @@ export function createWholeBoxes(app, work, { saver, onOffered }) {
       if (own.signal.aborted || draft.whole?.changes === draft.changes || !seenLabel(draft)) return;
       const { changes } = draft;
       const path = app.path("frames", draft.frame, "label", "whole");
-      /** @type {Api.WholeBoxJson[]} */
       const boxes = await app.api.post(path, { image_box: plainBox(draft.item.image_box) }, { signal: own.signal });
       if (own.signal.aborted || draft.changes !== changes) return;
       draft.whole = { boxes, shown: 0, changes, since: performance.now() };
@@ -165,7 +164,6 @@ export function createSuggester(app, { ask, onSuggested }) {
 
   /** The boxes that the image detector finds on a frame. */
   async function onImage(/** @type {number} */ frame) {
-    /** @type {Api.SuggestionsOut} */
     const { boxes, problem } = await app.api.get(app.path("frames", frame, "label", "suggestions"));
     report("image", problem);
     return boxes;

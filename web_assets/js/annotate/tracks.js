@@ -44,7 +44,7 @@ export const OPERATIONS = {
     text: "Merge…",
     key: "⇧M",
     help: "Where both tracks have a box in a frame, the reviewed one stays, or else that of this track.",
-    of: () => ({ do: "number" }),
+    of: () => ({ do: "merge" }),
   },
   class: { text: "Class…", key: "⇧1", help: "All boxes of the track get this class.", of: () => ({ do: "class" }) },
   size: {
@@ -109,10 +109,6 @@ export function createTracks(
     title: "All boxes of this track as small pictures, to be accepted together (S)",
     "data-testid": "act-sheet",
   });
-  const alike = button(["Alike", h("kbd", {}, "A")], () => void carry(), {
-    title: "Correct the boxes after this one, the track's last reviewed one, alike (A)",
-    "data-testid": "act-carry",
-  });
   const acts = Object.entries(OPERATIONS).map(([id, { text, key, help }]) =>
     button([text, key ? h("kbd", {}, key) : null], () => void operate(id), {
       title: help,
@@ -123,7 +119,7 @@ export function createTracks(
   const body = h(
     "div",
     { class: "track", hidden: true },
-    h("div", { class: "row" }, title, all, alike),
+    h("div", { class: "row" }, title, all),
     h("div", { class: "row", role: "toolbar", "aria-label": "This track" }, acts),
   );
   host.append(body);
@@ -141,7 +137,6 @@ export function createTracks(
     const dot = h("span", { class: "dot" });
     dot.style.background = trackColor(id);
     title.prepend(dot);
-    alike.disabled = desk.formerBox(label.uid) === null;
     values.hidden = Object.keys(label.attributes).length === 0;
   }
 
@@ -153,7 +148,6 @@ export function createTracks(
       return app.toast("This box has no track yet. Type a number in its field Track.", "warn");
     try {
       const index = currentFrame(app).frame.index ?? 0;
-      /** @type {Api.TrackBox[]} */
       const boxes = await app.api.get(path(label.track_id));
       const others = boxes.filter(
         (box) => box.index !== null && box.state !== "rejected" && (by > 0 ? box.index > index : box.index < index),
@@ -172,7 +166,6 @@ export function createTracks(
     if (!label || label.isNew) return;
     await desk.flush();
     try {
-      /** @type {Api.CopyNextOut} */
       const done = await desk.change("copy-next", () => ({ uid: label.uid }));
       await open(done);
       const copies = desk.labels().filter(({ uid }) => uid === done.uid);
@@ -213,16 +206,17 @@ export function createTracks(
       const own = asked;
       told = null;
       try {
-        /** @type {Api.OperationOut} */
         const answer = await app.api.post(path(track ?? 0), body());
-        if (own === asked) [told, note.textContent] = [answer, `This ${answer.words}.`];
+        if (own === asked) {
+          [told, note.textContent] = [answer, `This ${answer.words}.`];
+          field?.take?.(answer.count);
+        }
       } catch (error) {
         if (own === asked) note.textContent = messageOf(error);
       }
     }
 
-    // the number of the other track is not known yet
-    if (id !== "merge") await tell();
+    await tell();
     if (!field && told === null) return app.toast(note.textContent, "warn");
     field?.root.addEventListener("input", () => void tell());
     const done = await openDialog({
@@ -232,7 +226,7 @@ export function createTracks(
       actions: [{ label: text.replace("…", ""), value: "yes", kind: id === "delete" ? "danger" : "primary" }],
       async submit() {
         // nothing happens that was not told before
-        if (told === null) throw new Error(note.textContent || "Enter the number of the other track.");
+        if (told === null) throw new Error(note.textContent);
         const sent = { ...body(), told: told.count };
         app.effort.action();
         return desk.enqueue(() => app.api.change(path(track), sent));
@@ -244,30 +238,13 @@ export function createTracks(
     await onChanged();
   }
 
-  /** Corrects the later proposals of the track like the selected box. */
-  async function carry() {
-    const label = desk.stored();
-    if (!label || label.isNew) return;
-    await desk.flush();
-    const was = desk.formerBox(label.uid);
-    if (was === null) return app.toast("Correct this box first; then A corrects the later ones alike.", "warn");
-    try {
-      /** @type {Api.CarryOut} */
-      const { changed } = await desk.change("carry", () => ({ uid: label.uid, was }));
-      app.toast(`${count(changed, "later box", "later boxes")} corrected alike.`, "good");
-      await onChanged();
-    } catch (error) {
-      app.toast(error);
-    }
-  }
-
-  return { show, step, copyToNext, carry, operate };
+  return { show, step, copyToNext, operate };
 }
 
 /**
- * What an operation needs to know beside the box: its field, and what that gives.
+ * What an operation needs to know beside the box: its field, what that gives, and how it shows what the server proposes.
  *
- * @returns {{ root: HTMLElement, value: () => object } | null}
+ * @returns {{ root: HTMLElement, value: () => object, take?: (count: Api.Count) => void } | null}
  */
 function fieldOf(
   /** @type {string} */ id,
@@ -279,7 +256,16 @@ function fieldOf(
     h("label", { class: "field" }, h("span", {}, text), input);
   if (id === "merge") {
     const input = h("input", { type: "number", min: 0, step: 1, autofocus: true, "data-testid": "track-other" });
-    return { root: named("Number of the other track", input), value: () => ({ number: input.valueAsNumber }) };
+    return {
+      root: named("Number of the other track", input),
+      // without a number, the server names the likeliest one
+      value: () => (input.value ? { number: input.valueAsNumber } : {}),
+      take({ number }) {
+        if (input.value) return;
+        input.value = String(number);
+        input.select();
+      },
+    };
   }
   if (id === "class") {
     const options = classes.map((name) => h("option", { value: name }, name));

@@ -1,10 +1,9 @@
-/** Checks: boxes that look wrong, by kind of problem. A click opens the box in Review, or the frame in Label. */
+/** Checks: boxes that look wrong, by kind of problem. A click opens the box, or the frame. */
 
-import { button, count, h, patch } from "../dom.js";
-import { messageOf } from "../errors.js";
+import { button, count, h, nothing, patch } from "../dom.js";
+import { errorBox } from "../forms.js";
 import { makeHash } from "../router.js";
 
-/** @type {string[][]} */
 const KINDS = [
   ["class", "Unknown class", "the project has no such class"],
   ["attribute", "Attribute", "a value is missing, does not fit, has no attribute, or differs along its track"],
@@ -17,33 +16,27 @@ const KINDS = [
 /** Maximum number of warnings that a group lists; all are counted. */
 const LISTED = 200;
 
-export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
-  const body = h("div", { class: "stack" }, h("p", { class: "muted" }, "Checking all boxes …"));
-  const note = h("span", { class: "muted", role: "status", "data-testid": "checks-note" });
+/** @type {Mode["mount"]} */
+export function mount(root, app, until) {
+  const body = h("div.stack", h("p.muted", "Checking all boxes …"));
+  const note = h("span.muted", { role: "status", "data-testid": "checks-note" });
   const again = button("Check again", () => void load(), { "data-testid": "check-again" });
   root.append(
-    h(
-      "div",
-      { class: "page", "data-testid": "checks" },
-      h("div", { class: "row" }, h("h1", {}, "Checks"), note, h("span", { class: "grow" }), again),
-      body,
-    ),
+    h("div.page", { "data-testid": "checks" }, h("div.row", h("h1", "Checks"), note, h("span.grow"), again), body),
   );
-  let ended = false;
   let timer = 0;
 
   async function load() {
     clearTimeout(timer);
     again.disabled = true;
     try {
-      /** @type {Api.CheckReport} */
       const report = await app.api.get(app.path("checks"));
-      if (ended) return;
+      if (until.aborted) return;
       show(report);
       // the server stops after a few seconds; the next request continues
       if (report.uncounted > 0) timer = setTimeout(load, 200);
     } catch (error) {
-      if (!ended) patch(body, h("p", { class: "error-box", role: "alert" }, messageOf(error)));
+      if (!until.aborted) patch(body, errorBox(error));
     } finally {
       again.disabled = false;
     }
@@ -55,39 +48,30 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
         ? `Counting points: ${count(uncounted, "frame")} left …`
         : `${count(labels, "box", "boxes")} checked.`;
     const failed = unreadable.length
-      ? [h("div", { class: "error-box", role: "alert" }, `What cannot be read:\n${unreadable.join("\n")}`)]
+      ? [h("div.error-box", { role: "alert" }, `What cannot be read:\n${unreadable.join("\n")}`)]
       : [];
-    if (warnings.length === 0) {
-      const nothing =
-        labels === 0
-          ? ["No boxes yet", "Label objects, or let the detectors propose some.", "label", "Label objects"]
-          : [
-              "Nothing looks wrong",
-              "Sizes, points, headings and overlaps were checked.",
-              "export",
-              "Export the boxes",
-            ];
-      patch(
-        body,
-        failed,
-        h(
-          "div",
-          { class: "empty panel", "data-testid": "no-warnings" },
-          h("h2", {}, nothing[0]),
-          h("p", {}, nothing[1]),
-          h("a", { class: "button", href: makeHash(app.state.route.project, nothing[2]) }, nothing[3]),
-        ),
-      );
-      return;
-    }
-    const kinds = new Set(warnings.map(({ kind }) => kind));
-    for (const [kind] of KINDS) kinds.delete(/** @type {Api.Kind} */ (kind));
-    const unknown = [...kinds].map((kind) => [kind, kind, ""]);
-    const groups = [...KINDS, ...unknown].flatMap(([kind, title, help]) => {
+    const kinds = new Map(KINDS.map(([kind, ...words]) => [kind, words]));
+    for (const { kind } of warnings) if (!kinds.has(kind)) kinds.set(kind, [kind, ""]);
+    const groups = [...kinds].flatMap(([kind, [title, help]]) => {
       const matching = warnings.filter((warning) => warning.kind === kind);
       return matching.length > 0 ? [group(kind, title, help, matching)] : [];
     });
-    patch(body, failed, groups);
+    patch(body, failed, groups.length ? groups : nothingWrong(labels));
+  }
+
+  function nothingWrong(/** @type {number} */ labels) {
+    const href = (/** @type {string} */ mode) => makeHash(app.state.route.project, mode);
+    const said = labels
+      ? nothing(
+          "Nothing looks wrong",
+          "Sizes, points, headings and overlaps were checked.",
+          href("export"),
+          "Export the boxes",
+        )
+      : nothing("No boxes yet", "Draw some, or let the detectors propose them.", href("annotate"), "Annotate");
+    said.classList.add("panel");
+    said.dataset.testid = "no-warnings";
+    return said;
   }
 
   function group(
@@ -98,18 +82,12 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   ) {
     const rows = matching.slice(0, LISTED).map(row);
     if (matching.length > LISTED)
-      rows.push(h("li", { class: "muted pad" }, `and ${count(matching.length - LISTED, "more", "more")}`));
+      rows.push(h("li.muted.pad", `and ${count(matching.length - LISTED, "more", "more")}`));
     return h(
-      "section",
-      { class: "panel", "data-testid": `checks-${kind}` },
-      h(
-        "header",
-        {},
-        h("h2", {}, title),
-        h("span", { class: "chip number" }, String(matching.length)),
-        h("span", { class: "muted" }, help),
-      ),
-      h("ul", { class: "warnings" }, rows),
+      "section.panel",
+      { "data-testid": `checks-${kind}` },
+      h("header", h("h2", title), h("span.chip.number", String(matching.length)), h("span.muted", help)),
+      h("ul.warnings", rows),
     );
   }
 
@@ -117,21 +95,15 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     const href = makeHash(app.state.route.project, "annotate", frame, { uid });
     return h(
       "li",
-      {},
       h(
         "a",
         { href, "data-testid": "warning", "data-uid": uid },
-        h("span", { class: "grow" }, message),
-        h("span", { class: "muted number" }, `${recording}, frame ${key}`),
+        h("span.grow", message),
+        h("span.muted.number", `${recording}, frame ${key}`),
       ),
     );
   }
 
+  until.addEventListener("abort", () => clearTimeout(timer));
   void load();
-  return {
-    unmount() {
-      ended = true;
-      clearTimeout(timer);
-    },
-  };
 }

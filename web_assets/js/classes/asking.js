@@ -1,7 +1,8 @@
 /** The questions before a class or an attribute is renamed, merged or removed: they say what happens to the boxes. */
 
-import { openDialog } from "../dialogs.js";
+import { CANCEL, openDialog } from "../dialogs.js";
 import { count, h } from "../dom.js";
+import { field, select } from "../forms.js";
 
 const UNDO = "Undo (Ctrl+Z) takes it back.";
 
@@ -16,36 +17,14 @@ export function boxesOf(/** @type {Api.ClassRow} */ { labels, boxes_2d, said }) 
 }
 
 /**
- * @param {object} question
- * @param {string} question.title
- * @param {Node[]} question.content
- * @param {string} question.action
- * @param {string} [question.kind]
- * @param {() => Promise<unknown>} done
+ * @param {string} title
+ * @param {Child[]} content
+ * @param {{ label: string, kind?: string }} action
+ * @param {() => unknown} done
  */
-function ask({ title, content, action, kind }, done) {
-  return openDialog({
-    title,
-    content,
-    testid: "ask-classes",
-    actions: [
-      { label: "Cancel", value: "cancel" },
-      { label: action, value: "apply", kind },
-    ],
-    async submit(value) {
-      if (value === "apply") await done();
-      return value;
-    },
-  });
-}
-
-function choice(/** @type {string} */ text, /** @type {string[]} */ names) {
-  const select = h(
-    "select",
-    { "data-testid": "ask-into" },
-    names.map((name) => h("option", { value: name }, name)),
-  );
-  return { select, root: h("label", { class: "field" }, h("span", {}, text), select) };
+function ask(title, content, action, done) {
+  const actions = [CANCEL, { ...action, value: "apply" }];
+  return openDialog({ title, content, testid: "ask-classes", actions, submit: done });
 }
 
 /** Renames a class, an attribute, or one of its choices. */
@@ -56,35 +35,25 @@ export function askRename(
   const isClass = "labels" in what;
   const { name } = what;
   const choices = isClass ? [] : (what.choices ?? []);
-  /** @type {HTMLSelectElement} */
-  const part = h(
-    "select",
-    { "data-testid": "ask-part", onchange: () => Object.assign(input, { value: part.value || name }) },
-    h("option", { value: "" }, "the attribute"),
-    choices.map((each) => h("option", { value: each }, `the choice ${each}`)),
-  );
   const input = h("input", { value: name, maxlength: 64, autofocus: true, "data-testid": "ask-name" });
-  const follow = isClass
-    ? `Follows: ${boxesOf(what)}, and what detectors find`
-    : `Follows: ${count(what.values, "value")}`;
-  return ask(
-    {
-      title: `Rename ${name}`,
-      content: [
-        choices.length ? h("label", { class: "field" }, h("span", {}, "What"), part) : null,
-        h("label", { class: "field" }, h("span", {}, "New name"), input),
-        h("p", { class: "help" }, `${follow}. ${UNDO}`),
-        choices.length ? h("p", { class: "help" }, "The name of another choice merges both.") : null,
-      ].filter((node) => node !== null),
-      action: "Rename",
-    },
-    () => {
-      const fresh = input.value.trim();
-      if (!fresh) throw new Error("Please give it a name.");
-      if (isClass) return change({ do: "rename", name, new: fresh });
-      return change({ do: "rename_attribute", name, new: fresh, choice: part.value || null });
-    },
-  );
+  /** @type {HTMLSelectElement} */
+  const part = select([["", "the attribute"], ...choices.map((each) => [each, `the choice ${each}`])], {
+    "data-testid": "ask-part",
+    onchange: () => Object.assign(input, { value: part.value || name }),
+  });
+  const follows = isClass ? `${boxesOf(what)}, and what detectors find` : count(what.values, "value");
+  const content = [
+    choices.length > 0 && field("What", part),
+    field("New name", input),
+    h("p.help", `Follows: ${follows}. ${UNDO}`),
+    choices.length > 0 && h("p.help", "The name of another choice merges both."),
+  ];
+  return ask(`Rename ${name}`, content, { label: "Rename" }, () => {
+    const fresh = input.value.trim();
+    if (!fresh) throw new Error("Please give it a name.");
+    if (isClass) return change({ do: "rename", name, new: fresh });
+    return change({ do: "rename_attribute", name, new: fresh, choice: part.value || null });
+  });
 }
 
 export function askMerge(
@@ -92,38 +61,28 @@ export function askMerge(
   /** @type {string[]} */ names,
   /** @type {ChangeClasses} */ change,
 ) {
-  const into = choice(
-    `Give its boxes to`,
-    names.filter((name) => name !== row.name),
-  );
-  return ask(
-    {
-      title: `Merge ${row.name}`,
-      content: [
-        into.root,
-        h("p", {}, `The other class gets ${boxesOf(row)}, and ${row.name} is removed.`),
-        h("p", { class: "help" }, UNDO),
-      ],
-      action: "Merge",
-    },
-    () => change({ do: "merge", names: [row.name], into: into.select.value }),
+  const others = names.filter((name) => name !== row.name).map((name) => [name]);
+  const into = select(others, { "data-testid": "ask-into" });
+  const content = [
+    field("Give its boxes to", into),
+    h("p", `The other class gets ${boxesOf(row)}, and ${row.name} is removed.`),
+    h("p.help", UNDO),
+  ];
+  return ask(`Merge ${row.name}`, content, { label: "Merge" }, () =>
+    change({ do: "merge", names: [row.name], into: into.value }),
   );
 }
 
 /** Removes a class; one with boxes only with these. */
 export function askRemove(/** @type {Api.ClassRow} */ row, /** @type {ChangeClasses} */ change) {
+  const { name } = row;
   const isUsed = row.labels + row.boxes_2d + row.said > 0;
   const text = isUsed
     ? `Deletes ${boxesOf(row)}, too. "Merge" gives them to another class instead.`
     : "No box is of this class.";
-  return ask(
-    {
-      title: `Remove ${row.name}`,
-      content: [h("p", {}, text), h("p", { class: "help" }, UNDO)],
-      action: isUsed ? `Remove it with ${boxesOf(row)}` : "Remove",
-      kind: "danger",
-    },
-    () => change({ do: "remove", name: row.name, with_boxes: isUsed }),
+  const label = isUsed ? `Remove it with ${boxesOf(row)}` : "Remove";
+  return ask(`Remove ${name}`, [h("p", text), h("p.help", UNDO)], { label, kind: "danger" }, () =>
+    change({ do: "remove", name, with_boxes: isUsed }),
   );
 }
 
@@ -135,13 +94,7 @@ export function askRemoveAttribute(
   const text = values
     ? `${count(values, "value")} of it will be removed, too.`
     : "No box and no frame has a value of it.";
-  return ask(
-    {
-      title: `Remove ${name}`,
-      content: [h("p", {}, text), h("p", { class: "help" }, UNDO)],
-      action: "Remove",
-      kind: "danger",
-    },
-    () => change({ do: "remove_attribute", name }),
+  return ask(`Remove ${name}`, [h("p", text), h("p.help", UNDO)], { label: "Remove", kind: "danger" }, () =>
+    change({ do: "remove_attribute", name }),
   );
 }

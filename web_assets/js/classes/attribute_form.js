@@ -1,7 +1,9 @@
 /** The form of one attribute: its kind, what has it, its values, and its key. */
 
-import { openDialog } from "../dialogs.js";
+import { nameOf } from "../attributes.js";
+import { CANCEL, openDialog } from "../dialogs.js";
 import { h } from "../dom.js";
+import { checkbox, field, group, select, ticked } from "../forms.js";
 
 /** @type {[Attribute["kind"], string][]} */
 const KINDS = [
@@ -40,8 +42,7 @@ export function describe(
     .join(", ");
 }
 
-const textOf = (/** @type {string | number | boolean | undefined} */ value) =>
-  value === true ? "yes" : value === false ? "no" : String(value ?? "");
+const textOf = (/** @type {string | number | boolean | undefined} */ value) => nameOf(value ?? "");
 
 /** A default as typed; what cannot be read is left to the server, whose error says what the attribute takes. */
 function readValue(/** @type {string} */ kind, /** @type {string} */ text) {
@@ -61,42 +62,32 @@ function readValue(/** @type {string} */ kind, /** @type {string} */ text) {
  */
 export function attributeForm({ attribute, classes, attributes, change }) {
   const known = attribute;
-  const input = (/** @type {string} */ testid, /** @type {Attributes} */ more = {}) =>
+  const input = (/** @type {string} */ testid, /** @type {Attributes} */ more) =>
     h("input", { "data-testid": testid, autocomplete: "off", ...more });
-  const select = (
-    /** @type {string} */ testid,
-    /** @type {[string, string][]} */ options,
-    /** @type {string | undefined} */ value,
-  ) =>
-    h(
-      "select",
-      { "data-testid": testid, value: value ?? options[0][0], onchange: show },
-      options.map(([name, text]) => h("option", { value: name, selected: name === value }, text)),
-    );
-  const name = input("attribute-name", { value: known?.name ?? "", disabled: Boolean(known), maxlength: 64 });
-  if (!known) name.autofocus = true;
-  const kind = select("attribute-kind", KINDS, known?.kind);
-  const of = select("attribute-of", OWNERS, known?.of);
+  const name = input("attribute-name", {
+    value: known?.name ?? "",
+    disabled: Boolean(known),
+    maxlength: 64,
+    autofocus: !known,
+  });
+  const kind = select(KINDS, { "data-testid": "attribute-kind", onchange: show }, known?.kind);
+  const of = select(OWNERS, { "data-testid": "attribute-of", onchange: show }, known?.of);
   const choices = h("textarea", { rows: 4, "data-testid": "attribute-choices" });
   choices.value = (known?.choices ?? []).join("\n");
   const least = input("attribute-minimum", { type: "number", step: "any", value: textOf(known?.minimum) });
   const most = input("attribute-maximum", { type: "number", step: "any", value: textOf(known?.maximum) });
   const usual = input("attribute-default", { value: textOf(known?.default), placeholder: "none" });
   const key = input("attribute-key", { class: "key", value: known?.key ?? "", maxlength: 1, placeholder: "–" });
-  const required = input("attribute-required", { type: "checkbox", checked: Boolean(known?.required) });
-  const drop = input("attribute-drop", { type: "checkbox" });
+  const required = checkbox("attribute-required", Boolean(known?.required));
+  const drop = checkbox("attribute-drop");
   const boxes = classes.map((label) =>
-    input(`attribute-class-${label}`, { type: "checkbox", value: label, checked: known?.classes?.includes(label) }),
+    checkbox(`attribute-class-${label}`, known?.classes?.includes(label), { value: label }),
   );
   const ofChoices = field("Choices, one in each line", choices);
-  const limits = h("div", { class: "row" }, field("Smallest", least), field("Greatest", most));
-  const ofClasses = h(
-    "fieldset",
-    { class: "plain" },
-    h("legend", { class: "field-label" }, "Only of these classes (none: of all)"),
-    h("div", { class: "row" }, ...boxes.map((box) => h("label", { class: "row" }, box, box.value))),
-  );
-  const dropping = h("label", { class: "row", hidden: true }, drop, "Remove the values that do not fit");
+  const limits = h("div.row", field("Smallest", least), field("Greatest", most));
+  const rows = boxes.map((box) => h("label.row", box, box.value));
+  const ofClasses = group("Only of these classes (none: of all)", h("div.row", rows));
+  const dropping = h("label.row", { hidden: true }, drop, "Remove the values that do not fit");
 
   function show() {
     ofChoices.hidden = kind.value !== "choice";
@@ -105,7 +96,6 @@ export function attributeForm({ attribute, classes, attributes, change }) {
   }
 
   function read() {
-    const only = boxes.filter((box) => box.checked).map((box) => box.value);
     const made = {
       name: name.value.trim(),
       kind: kind.value,
@@ -113,7 +103,7 @@ export function attributeForm({ attribute, classes, attributes, change }) {
       choices: lines(ofChoices.hidden ? "" : choices.value),
       minimum: limits.hidden ? undefined : readValue("number", least.value),
       maximum: limits.hidden ? undefined : readValue("number", most.value),
-      classes: ofClasses.hidden ? [] : only,
+      classes: ofClasses.hidden ? [] : ticked(boxes),
       required: required.checked,
       default: readValue(kind.value, usual.value.trim()),
       key: key.value.trim().toLowerCase() || undefined,
@@ -135,17 +125,13 @@ export function attributeForm({ attribute, classes, attributes, change }) {
       ofChoices,
       limits,
       ofClasses,
-      h("div", { class: "row" }, field("Default", usual), field("Key, with Alt", key)),
-      h("label", { class: "row" }, required, "Required: Checks list what has no value"),
-      h("p", { class: "help" }, "New boxes get the default, and so do existing boxes and frames without a value."),
+      h("div.row", field("Default", usual), field("Key, with Alt", key)),
+      h("label.row", required, "Required: Checks list what has no value"),
+      h("p.help", "New boxes get the default, and so do existing boxes and frames without a value."),
       dropping,
     ],
-    actions: [
-      { label: "Cancel", value: "cancel" },
-      { label: "Save", value: "save" },
-    ],
+    actions: [CANCEL, { label: "Save", value: "save" }],
     async submit(value) {
-      if (value !== "save") return value;
       try {
         await change({ do: "attribute", attribute: read(), drop: drop.checked });
       } catch (error) {
@@ -162,7 +148,3 @@ const lines = (/** @type {string} */ text) =>
     .split("\n")
     .map((line) => line.trim())
     .filter(Boolean);
-
-function field(/** @type {string} */ text, /** @type {HTMLElement} */ control) {
-  return h("label", { class: "field" }, h("span", {}, text), control);
-}

@@ -1,7 +1,7 @@
 /** The choice of a class: buttons for a few, and a list of all with a search, those that are used most first. */
 
 import { classColor } from "../colors.js";
-import { openDialog } from "../dialogs.js";
+import { CANCEL, openDialog } from "../dialogs.js";
 import { button, h, iconButton, patch } from "../dom.js";
 import { editClasses } from "./classes.js";
 
@@ -18,13 +18,12 @@ export function matching(/** @type {string[]} */ names, /** @type {string} */ ty
 
 /** The project's classes, those with most boxes first. */
 async function byUse(/** @type {ModeApp} */ app) {
-  /** @type {Api.ClassList} */
   const { classes } = await app.api.get(app.path("classes"));
   return classes.sort((a, b) => b.labels + b.boxes_2d - a.labels - a.boxes_2d).map(({ name }) => name);
 }
 
 function swatchOf(/** @type {ModeApp} */ app, /** @type {string} */ label) {
-  const swatch = h("span", { class: "swatch" });
+  const swatch = h("span.swatch");
   swatch.style.background = classColor(app.state.project, label);
   return swatch;
 }
@@ -32,14 +31,14 @@ function swatchOf(/** @type {ModeApp} */ app, /** @type {string} */ label) {
 /** The digit that chooses a class. */
 function digitOf(/** @type {ModeApp} */ app, /** @type {string} */ label) {
   const index = app.state.project.classes.indexOf(label);
-  return index < 9 ? h("kbd", {}, String(index + 1)) : null;
+  return index < 9 ? h("kbd", String(index + 1)) : null;
 }
 
 /** Asks for one of the classes; null if none was chosen. Enter takes the first of those that are found. */
 export async function askClass(/** @type {ModeApp} */ app) {
   const names = await byUse(app);
   let found = names;
-  const list = h("ul", { class: "class-list", "data-testid": "class-list" });
+  const list = h("ul.class-list", { "data-testid": "class-list" });
   const field = h("input", {
     type: "search",
     "aria-label": "Search a class",
@@ -58,41 +57,28 @@ export async function askClass(/** @type {ModeApp} */ app) {
         clicked = name;
         /** @type {HTMLButtonElement} */ (currentTarget).form?.requestSubmit();
       };
-      const content = [swatchOf(app, name), h("span", { class: "ellipsis grow" }, name), digitOf(app, name)];
+      const content = [swatchOf(app, name), h("span.ellipsis.grow", name), digitOf(app, name)];
       return h("li", { "data-key": name }, button(content, choose, { class: "quiet row-button" }));
     });
-    patch(list, rows.length ? rows : h("li", { class: "muted pad" }, "No class has this in its name."));
+    patch(list, rows.length ? rows : h("li.muted.pad", "No class has this in its name."));
   }
   show();
   return openDialog({
     title: "Class",
     testid: "class-dialog",
     content: [field, list],
-    actions: [
-      { label: "Cancel", value: "cancel" },
-      { label: "Choose", value: "choose" },
-    ],
-    submit: (value) => (value === "choose" ? (clicked ?? found[0] ?? null) : null),
+    actions: [CANCEL, { label: "Choose", value: "choose" }],
+    submit: () => clicked ?? found[0] ?? null,
   });
 }
 
-/** Buttons for the classes; the digit keys do the same. The last two show all of many, and change them. */
+/** Buttons for the classes; the digit keys do the same. Two tools show all of many, and change them. */
 export function createClassPicker(/** @type {ModeApp} */ app, /** @type {(name: string) => void} */ onPick) {
-  const root = h("div", { class: "classes", role: "radiogroup", "aria-label": "Class" });
+  const root = h("div.class-picker", { role: "radiogroup", "aria-label": "Class" });
   const more = button([], () => void ask(), { "data-testid": "all-classes", title: "Choose from all classes (/)" });
-  const edit = iconButton(
-    "edit",
-    "Change the classes and attributes",
-    () => editClasses(app, app.state.project.name),
-    {
-      "data-testid": "edit-classes",
-    },
-  );
-  /**
-   * The classes by their use when the mode was opened; those that came later are last.
-   *
-   * @type {string[]}
-   */
+  const change = () => editClasses(app, app.state.project.name);
+  const edit = iconButton("edit", "Change the classes and attributes", change, { "data-testid": "edit-classes" });
+  /** The classes by their use when the mode was opened; those that came later are last. @type {string[]} */
   let used = [];
   let picked = "";
   if (app.state.project.classes.length > ALL)
@@ -113,24 +99,18 @@ export function createClassPicker(/** @type {ModeApp} */ app, /** @type {(name: 
     const known = used.filter((name) => classes.includes(name));
     const few = isMany ? [...new Set([...known, ...classes])].slice(0, FEW) : classes;
     const shown = !isMany || few.includes(current) ? few : [...few.slice(0, FEW - 1), current];
-    patch(
-      root,
-      shown.map((label) =>
-        button(
-          [swatchOf(app, label), h("span", { class: "ellipsis" }, label), digitOf(app, label)],
-          () => onPick(label),
-          {
-            role: "radio",
-            "aria-checked": String(label === current),
-            "data-testid": `class-${label}`,
-            "data-key": label,
-          },
-        ),
-      ),
+    const buttons = shown.map((label) =>
+      button([swatchOf(app, label), h("span.ellipsis", label), digitOf(app, label)], () => onPick(label), {
+        role: "radio",
+        "aria-checked": String(label === current),
+        "data-testid": `class-${label}`,
+        "data-key": label,
+      }),
     );
+    patch(root, buttons);
     more.hidden = !isMany;
-    patch(more, `+ ${classes.length - shown.length}`, h("kbd", {}, "/"));
+    patch(more, `+ ${classes.length - shown.length}`, h("kbd", "/"));
   }
 
-  return { root: h("div", { class: "row class-picker" }, root, more, edit), show, ask };
+  return { root, tools: [more, edit], show, ask };
 }

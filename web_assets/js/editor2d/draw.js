@@ -20,12 +20,13 @@ const round = (/** @type {number} */ value) => Math.round(value * 100) / 100;
  * @property {EditorBox[]} boxes
  * @property {number} selected
  * @property {Overlay[]} overlays
- * @property {Handles} handles
+ * @property {boolean} canTurn there is a rotation handle.
+ * @property {Point | null} sight the line of sight, px of the picture for each metre.
  * @property {boolean} isReadonly
  * @property {Point | null} cross
  * @property {number} turnRad of the selected box, during a turn of its rotation handle.
  * @property {number} slideM how far the selected box is being moved along the line of sight, metres.
- * @property {(box: EditorBox) => string} colorOf
+ * @property {(box: EditorBox) => string} color
  */
 
 export function drawScene(/** @type {SVGSVGElement} */ svg, /** @type {Scene} */ scene) {
@@ -52,7 +53,7 @@ function windowRect(/** @type {Rect} */ box, /** @type {View} */ view) {
 
 function drawBox(/** @type {EditorBox} */ box, /** @type {number} */ index, /** @type {Scene} */ scene) {
   const rect = windowRect(box, scene.view);
-  const color = scene.colorOf(box);
+  const color = scene.color(box);
   const isSelected = index === scene.selected;
   const group = s("g", {
     class: ["box", isSelected && "selected", box.suggested && "suggested", box.faint && "faint"]
@@ -65,10 +66,9 @@ function drawBox(/** @type {EditorBox} */ box, /** @type {number} */ index, /** 
   if (isSelected) group.append(s("rect", { class: "fill", fill: color, ...rect }));
   const text = box.caption ?? box.label;
   if (text) group.append(...drawCaption(text, rect, color));
-  if (isSelected && !scene.isReadonly && !box.readonly) group.append(...drawHandles(rect, scene.handles));
-  const { sight } = scene.handles;
-  if (isSelected && scene.slideM && sight) {
-    const by = sight.map((px) => round(px * scene.slideM * scene.view.scale));
+  if (isSelected && !scene.isReadonly) group.append(...drawHandles(rect, scene));
+  if (isSelected && scene.slideM && scene.sight) {
+    const by = scene.sight.map((px) => round(px * scene.slideM * scene.view.scale));
     group.setAttribute("transform", `translate(${by.join(" ")})`);
   }
   if (isSelected && scene.turnRad) {
@@ -94,17 +94,17 @@ function drawCaption(
 
 function drawHandles(
   /** @type {{ x: number, y: number } & Size} */ { x, y, width, height },
-  /** @type {Handles} */ { edges, corners, rotate, sight },
+  /** @type {Pick<Scene, "canTurn" | "sight">} */ { canTurn, sight },
 ) {
   /** @type {Element[]} */
   const marks = [];
   const mark = (/** @type {number} */ cx, /** @type {number} */ cy) =>
     marks.push(s("rect", { class: "handle", x: round(cx - 3.5), y: round(cy - 3.5), width: 7, height: 7 }));
   const [midX, midY] = [x + width / 2, y + height / 2];
-  if (corners) for (const cx of [x, x + width]) for (const cy of [y, y + height]) mark(cx, cy);
-  if (edges && width > 28) for (const cy of [y, y + height]) mark(midX, cy);
-  if (edges && height > 28) for (const cx of [x, x + width]) mark(cx, midY);
-  if (rotate) {
+  for (const cx of [x, x + width]) for (const cy of [y, y + height]) mark(cx, cy);
+  if (width > 28) for (const cy of [y, y + height]) mark(midX, cy);
+  if (height > 28) for (const cx of [x, x + width]) mark(cx, midY);
+  if (canTurn) {
     marks.push(s("line", { class: "arm", x1: midX, y1: y, x2: midX, y2: y - ROTATE_ARM }));
     marks.push(
       s("circle", { class: "handle rotate", cx: midX, cy: y - ROTATE_ARM, r: 6, "data-testid": "rotate-handle" }),

@@ -3,7 +3,6 @@
  * are `EditorOptions`, its boxes `EditorBox`.
  */
 
-import { colorIn } from "../colors.js";
 import { h, iconButton, s } from "../dom.js";
 import { drawScene } from "./draw.js";
 import { createView, heightOf, moved, pictureLimits, resized, widthOf } from "./geometry.js";
@@ -13,7 +12,7 @@ const NUDGES_END_MS = 500;
 /** @type {Record<string, number[]>} */
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
-export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorOptions} */ options = {}) {
+export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorOptions} */ options) {
   const image = h("img", { class: "picture", alt: "", draggable: "false" });
   const svg = s("svg", { class: "shapes", "aria-hidden": "true" });
   const spoken = h("span", { class: "visually-hidden", "aria-live": "polite" });
@@ -26,7 +25,7 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
       tabindex: 0,
       role: "application",
       "aria-roledescription": "box editor",
-      "aria-label": options.label ?? "Picture with boxes",
+      "aria-label": options.label,
       "data-testid": "editor2d",
     },
     image,
@@ -35,14 +34,13 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
     h("div", { class: "zoom-bar" }, zoomText, iconButton("fit", "Fit the picture (0)", fit, { tabindex: -1 })),
     spoken,
   );
-  const view = createView();
   /** @type {EditorBox[]} */
   let boxes = [];
   let selected = -1;
   /** @type {Overlay[]} */
   let overlays = [];
-  /** @type {Handles} */
-  let handles = { edges: true, corners: true, rotate: false, sight: null };
+  /** @type {Point | null} */
+  let sight = null;
   let isReadonly = false;
   /** @type {Point | null} */
   let cross = null;
@@ -54,6 +52,7 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
   let nudged = { index: -1, actions: 0, timer: 0 };
   const picture = { width: 0, height: 0 };
   const size = { width: 0, height: 0, border: 0 };
+  const view = createView(picture, size);
 
   function redraw() {
     drawn ||= requestAnimationFrame(draw);
@@ -67,12 +66,25 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
     // magnified pixels are not smoothed, so that an edge can be aligned with one
     image.classList.toggle("crisp", view.scale * devicePixelRatio > 1.5);
     svg.setAttribute("viewBox", `0 0 ${size.width} ${size.height}`);
-    drawScene(svg, { view, size, boxes, selected, overlays, handles, isReadonly, cross, turnRad, slideM, colorOf });
+    const { color, onRotate } = options;
+    const canTurn = onRotate !== undefined;
+    drawScene(svg, {
+      view,
+      size,
+      boxes,
+      selected,
+      overlays,
+      canTurn,
+      sight,
+      isReadonly,
+      cross,
+      turnRad,
+      slideM,
+      color,
+    });
     zoomText.textContent = `${Math.round(view.scale * 100)} %`;
   }
 
-  const colorOf = (/** @type {EditorBox} */ box) =>
-    box.color ?? options.color?.(box) ?? colorIn(options.classes ?? [], box.label);
   const clone = () => boxes.map((box) => ({ ...box }));
 
   function say(/** @type {string} */ text) {
@@ -85,7 +97,7 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
   }
 
   function fit() {
-    view.fit(picture, size);
+    view.fit();
     redraw();
   }
 
@@ -93,7 +105,6 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
   const inner = {
     root,
     view,
-    picture,
     size,
     options,
     get boxes() {
@@ -105,18 +116,15 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
     get overlays() {
       return overlays;
     },
-    get handles() {
-      return handles;
+    get sight() {
+      return sight;
     },
     redraw,
     flush,
     isReadonly: () => isReadonly,
-    canDraw: () =>
-      (typeof options.canDraw === "function" ? options.canDraw() : options.canDraw !== false) &&
-      !isReadonly &&
-      picture.width > 0,
+    canDraw: () => (options.canDraw?.() ?? true) && !isReadonly && picture.width > 0,
     limits: () => pictureLimits(picture, options.clip !== false),
-    newBox: () => ({ label: options.newLabel?.() ?? options.classes?.[0] ?? "" }),
+    newBox: () => ({ label: options.newLabel?.() ?? "" }),
     select: selectBox,
     setCross(/** @type {Point | null} */ point, /** @type {Point} */ px) {
       cross = point;
@@ -156,13 +164,11 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
       redraw();
       options.onSlide?.(metres, isFinal);
     },
-    accept,
+    accept(/** @type {number} */ index) {
+      boxes = boxes.with(index, { ...boxes[index], suggested: false });
+      inner.commit("accept", index);
+    },
   };
-
-  function accept(/** @type {number} */ index) {
-    boxes = boxes.with(index, { ...boxes[index], suggested: false });
-    inner.commit("accept", index);
-  }
 
   function selectBox(/** @type {number} */ index) {
     if (index !== selected) flush();
@@ -175,7 +181,7 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
     options.onSelect?.(known);
   }
 
-  /** Handles keys of the focused editor; true if the key was one of them. The mode's key table calls it, too. */
+  /** Handles keys of the focused editor; true if the key was one of them. */
   function onKey(/** @type {KeyboardEvent} */ event) {
     if (event.key === "Escape") return editor.cancel();
     if (event.key === "Insert") return newBoxInTheMiddle();
@@ -184,10 +190,9 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
       return true;
     }
     if (event.key === "Delete" || event.key === "Backspace") return editor.deleteSelected();
-    if (event.key === "Enter") return options.onEnter ? options.onEnter(event) : editor.acceptSuggestion();
+    if (event.key === "Enter") return options.onEnter?.() ?? false;
     const arrow = ARROWS[event.key];
-    if (!arrow || event.ctrlKey || event.metaKey || isReadonly || !boxes[selected] || boxes[selected].readonly)
-      return false;
+    if (!arrow || event.ctrlKey || event.metaKey || isReadonly || !boxes[selected]) return false;
     const step = event.shiftKey ? 10 : 1;
     nudge(arrow[0] * step, arrow[1] * step, event.altKey);
     return true;
@@ -247,8 +252,8 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
       height: contentBoxSize[0].blockSize,
       border: borderBoxSize[0].inlineSize,
     });
-    if (view.isFitted) view.fit(picture, size);
-    else view.panBy((size.width - before.width) / 2, (size.height - before.height) / 2, picture, size);
+    if (view.isFitted) view.fit();
+    else view.panBy((size.width - before.width) / 2, (size.height - before.height) / 2);
     draw();
   });
   host.append(root);
@@ -275,7 +280,7 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
       picture.height = height ?? 0;
       root.classList.toggle("blank", url === null);
       if (!size.width) measure();
-      if (!isSameSize || view.isFitted) view.fit(picture, size);
+      if (!isSameSize || view.isFitted) view.fit();
       draw();
       if (url === null) return true;
       const fresh = new Image();
@@ -302,8 +307,9 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
       overlays = list;
       redraw();
     },
-    setHandles(/** @type {Partial<Handles>} */ shown) {
-      handles = { ...handles, ...shown };
+    /** The line of sight, px for each metre, along which a handle moves the box; null: there is no handle. */
+    setSight(/** @type {Point | null} */ along) {
+      sight = along;
       redraw();
     },
     setReadonly(/** @type {boolean} */ value) {
@@ -311,23 +317,15 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
       root.classList.toggle("readonly", value);
       redraw();
     },
-    select: selectBox,
     fit,
     deleteSelected() {
-      if (selected < 0 || isReadonly || options.canDelete === false || boxes[selected].readonly) return false;
+      if (selected < 0 || isReadonly || options.canDelete === false) return false;
       flush();
       const index = selected;
       boxes = boxes.toSpliced(index, 1);
       selectBox(-1);
       say("deleted");
       options.onChange?.(clone(), "delete", index, 1);
-      return true;
-    },
-    /** Accepts the selected suggestion, or else the first one. */
-    acceptSuggestion() {
-      const index = boxes[selected]?.suggested ? selected : boxes.findIndex(({ suggested }) => suggested);
-      if (index < 0 || isReadonly) return false;
-      accept(index);
       return true;
     },
     /** Cancels the drag, or else deselects; false if there was neither a drag nor a selection. */

@@ -6,7 +6,7 @@
 /** Minimum side of a box, px: a narrower box looks like a line. */
 const MIN_SIDE_PX = 0.5;
 
-export const clamp = (/** @type {number} */ value, /** @type {number} */ low, /** @type {number} */ high) =>
+const clamp = (/** @type {number} */ value, /** @type {number} */ low, /** @type {number} */ high) =>
   Math.min(Math.max(value, low), high);
 
 /** Limits for the boxes of a picture; infinite if boxes may extend beyond it. */
@@ -97,18 +97,15 @@ export function isInside(/** @type {Rect} */ box, /** @type {Point} */ [x, y]) {
  * @param {Rect} box
  * @param {Point} point
  * @param {number} reach maximum distance, in the units of the box.
- * @param {Partial<Handles>} [handles]
  */
-export function edgeNear(box, [x, y], reach, { edges = true, corners = true } = {}) {
+export function edgeNear(box, [x, y], reach) {
   if (x < box.x_min - reach || x > box.x_max + reach || y < box.y_min - reach || y > box.y_max + reach) return null;
   // dragging the inner half of a small box still moves it
   const reachX = Math.min(reach, widthOf(box) / 4);
   const reachY = Math.min(reach, heightOf(box) / 4);
   const sideX = nearSide(x, box.x_min, box.x_max, reach, reachX);
   const sideY = nearSide(y, box.y_min, box.y_max, reach, reachY);
-  if (sideX !== 0 && sideY !== 0) return corners ? { sideX, sideY } : null;
-  if (sideX !== 0 || sideY !== 0) return edges ? { sideX, sideY } : null;
-  return null;
+  return sideX !== 0 || sideY !== 0 ? { sideX, sideY } : null;
 }
 
 function nearSide(
@@ -159,7 +156,11 @@ export function isInHull(/** @type {Point[]} */ polygon, /** @type {Point} */ po
 const MARGIN = 4;
 const LARGEST_SCALE = 64;
 
-export function createView() {
+/** `picture` and `size`, that of the window, may change. */
+export function createView(/** @type {Size} */ picture, /** @type {Size} */ size) {
+  const fitScale = () =>
+    Math.min((size.width - 2 * MARGIN) / picture.width, (size.height - 2 * MARGIN) / picture.height);
+
   const view = {
     scale: 1,
     offset: [0, 0],
@@ -175,21 +176,16 @@ export function createView() {
     ],
 
     /** Shows the whole picture, centred in the window. */
-    fit(/** @type {Size} */ picture, /** @type {Size} */ size) {
+    fit() {
       if (!picture.width || !size.width || !size.height) return;
-      view.scale = fitScale(picture, size);
+      view.scale = fitScale();
       view.offset = [(size.width - picture.width * view.scale) / 2, (size.height - picture.height * view.scale) / 2];
       view.isFitted = true;
     },
 
     /** Zooms by a factor about a point of the window, which keeps showing the same point of the picture. */
-    zoomAbout(
-      /** @type {Point} */ [x, y],
-      /** @type {number} */ factor,
-      /** @type {Size} */ picture,
-      /** @type {Size} */ size,
-    ) {
-      const smallest = Math.min(fitScale(picture, size) / 3, 1);
+    zoomAbout(/** @type {Point} */ [x, y], /** @type {number} */ factor) {
+      const smallest = Math.min(fitScale() / 3, 1);
       const scale = clamp(view.scale * factor, smallest, LARGEST_SCALE);
       const share = scale / view.scale;
       view.offset = [x - (x - view.offset[0]) * share, y - (y - view.offset[1]) * share];
@@ -198,7 +194,7 @@ export function createView() {
     },
 
     /** Shifts the picture; a strip of it always stays in the window. */
-    panBy(/** @type {number} */ dx, /** @type {number} */ dy, /** @type {Size} */ picture, /** @type {Size} */ size) {
+    panBy(/** @type {number} */ dx, /** @type {number} */ dy) {
       const keep = 32;
       view.offset = [
         clamp(view.offset[0] + dx, keep - picture.width * view.scale, size.width - keep),
@@ -208,8 +204,4 @@ export function createView() {
     },
   };
   return view;
-}
-
-function fitScale(/** @type {Size} */ picture, /** @type {Size} */ size) {
-  return Math.min((size.width - 2 * MARGIN) / picture.width, (size.height - 2 * MARGIN) / picture.height);
 }

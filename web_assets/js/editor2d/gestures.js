@@ -51,32 +51,31 @@ const CURSORS = {
  * @returns {Hit}
  */
 export function hitTest(editor, px, pointerType, isForced = false) {
-  const { boxes, selected, view, handles, options } = editor;
+  const { boxes, selected, view, sight, options } = editor;
   const reach = (REACH[pointerType] ?? REACH.mouse) / view.scale;
   /** @type {Hit} */
   const draw = { kind: editor.canDraw() ? "draw" : "nothing", index: -1 };
   if (editor.isReadonly()) return { kind: "nothing", index: -1 };
   if (isForced) return draw;
   const current = boxes[selected];
-  if (current && !current.readonly) {
+  if (current) {
     if (
-      handles.rotate &&
+      options.onRotate &&
       Math.hypot(px[0] - (current.x_min + current.x_max) / 2, px[1] - (current.y_min - ROTATE_ARM / view.scale)) <
         1.8 * reach
     )
       return { kind: "rotate", index: selected };
-    if (handles.sight) {
+    if (sight) {
       const middle = [(current.x_min + current.x_max) / 2, (current.y_min + current.y_max) / 2];
-      const { to } = sightArm(middle, widthOf(current), heightOf(current), handles.sight, 1 / view.scale);
+      const { to } = sightArm(middle, widthOf(current), heightOf(current), sight, 1 / view.scale);
       if (Math.hypot(px[0] - to[0], px[1] - to[1]) < 1.8 * reach) return { kind: "slide", index: selected };
     }
-    const near = edgeNear(current, px, reach, handles);
+    const near = edgeNear(current, px, reach);
     if (near) return { kind: "resize", index: selected, ...near };
-    if (isInside(current, px)) return options.canMove === false ? draw : { kind: "move", index: selected };
+    if (isInside(current, px)) return { kind: "move", index: selected };
   }
-  for (let index = boxes.length - 1; index >= 0; index--) {
-    if (boxes[index].readonly || options.selectFirst) continue;
-    const near = edgeNear(boxes[index], px, reach * 0.7, handles);
+  for (let index = boxes.length - 1; index >= 0 && !options.selectFirst; index--) {
+    const near = edgeNear(boxes[index], px, reach * 0.7);
     if (near) return { kind: "resize", index, ...near };
   }
   return draw;
@@ -238,7 +237,7 @@ function beginRotate(/** @type {EditorInside} */ editor, /** @type {Hit} */ { in
 
 /** Along the line of sight. @returns {Drag} */
 function beginSlide(/** @type {EditorInside} */ editor, /** @type {Hit} */ _hit, /** @type {Point} */ start) {
-  const [dx, dy] = editor.handles.sight ?? [1, 0];
+  const [dx, dy] = editor.sight ?? [1, 0];
   let metres = 0;
   return {
     move([x, y]) {

@@ -60,7 +60,7 @@ export function listenToPointers(/** @type {EditorInside} */ editor) {
     const end = () => root.classList.remove("panning");
     return {
       move(_, point) {
-        view.panBy(point[0] - last[0], point[1] - last[1], editor.picture, editor.size);
+        view.panBy(point[0] - last[0], point[1] - last[1]);
         last = point;
         editor.redraw();
       },
@@ -80,8 +80,8 @@ export function listenToPointers(/** @type {EditorInside} */ editor) {
         const before = [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2];
         const after = [(c[0] + d[0]) / 2, (c[1] + d[1]) / 2];
         const factor = Math.hypot(c[0] - d[0], c[1] - d[1]) / Math.max(Math.hypot(a[0] - b[0], a[1] - b[1]), 1);
-        view.panBy(after[0] - before[0], after[1] - before[1], editor.picture, editor.size);
-        view.zoomAbout(after, factor, editor.picture, editor.size);
+        view.panBy(after[0] - before[0], after[1] - before[1]);
+        view.zoomAbout(after, factor);
         [a, b] = [c, d];
         editor.redraw();
       },
@@ -141,7 +141,7 @@ export function listenToPointers(/** @type {EditorInside} */ editor) {
     // a wheel event has whole pixels; the last pointer event is more precise
     const rough = windowPoint(event);
     const isThere = Math.hypot(rough[0] - lastPoint[0], rough[1] - lastPoint[1]) < 2;
-    view.zoomAbout(isThere ? lastPoint : rough, factor, editor.picture, editor.size);
+    view.zoomAbout(isThere ? lastPoint : rough, factor);
     editor.redraw();
   }
 

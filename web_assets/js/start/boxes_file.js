@@ -1,15 +1,13 @@
 /** The dialog that imports boxes from a file: 2D boxes, from which 3D boxes are then proposed, or 3D boxes. */
 
-import { projectPath } from "../api.js";
-import { openDialog } from "../dialogs.js";
+import { newest, projectPath, withQuery } from "../api.js";
+import { CANCEL, openDialog } from "../dialogs.js";
 import { count, h } from "../dom.js";
-import { messageOf } from "../errors.js";
-import { takeJob } from "../jobs.js";
+import { checkbox, errorBox, field, select } from "../forms.js";
 import { createClassChoice } from "./class_choice.js";
 
 /** The server's limit. */
 const MOST_BYTES = 64 * 2 ** 20;
-/** @type {[Api.BoxKind, string][]} */
 const KINDS = [
   ["silhouette", "the visible part of each object"],
   ["box", "each whole object, hidden parts included"],
@@ -21,6 +19,10 @@ const BECOME = [
   ["labels", "labels, on frames without labels and proposals"],
 ];
 
+/** What measures the 3D boxes of 2D boxes in a project, in words; null: nothing can. */
+export const measuredBy = (/** @type {Api.ProjectInfo} */ { detectors }) =>
+  detectors.view ? "this project's view detector" : detectors.stand_in;
+
 /**
  * Returns the job that imports the boxes, or null if the dialog was cancelled.
  *
@@ -29,17 +31,12 @@ const BECOME = [
  * @returns {Promise<Api.Job | null>}
  */
 export async function importBoxes(app, name) {
-  /** @type {Api.ProjectInfo} */
   const project = await app.api.get(projectPath(name));
   /** @type {Api.BoxesFile | null} */
   let sent = null;
-  /**
-   * The answer to the file that was sent last.
-   *
-   * @type {Promise<Api.BoxesFile | null>}
-   */
+  /** The answer to the file that was sent last. @type {Promise<Api.BoxesFile | null>} */
   let upload = Promise.resolve(null);
-  let asked = 0;
+  const begin = newest();
   /** Id of the file whose name is offered as the source. */
   let latest = "";
   let isReading = false;
@@ -55,103 +52,65 @@ export async function importBoxes(app, name) {
       void show();
     },
   });
-  const recording = h(
-    "select",
-    { "data-testid": "boxes-recording", onchange: () => void show() },
-    h("option", { value: "" }, "any recording"),
-    project.recordings.map((one) => h("option", { value: String(one.id) }, one.name)),
-  );
-  const kind = h(
-    "select",
-    { "data-testid": "boxes-kind" },
-    KINDS.map(([value, text]) => h("option", { value }, text)),
-  );
-  const measuredBy = project.detectors.view ? "this project's view detector" : project.detectors.stand_in;
-  const lift = h("input", {
-    type: "checkbox",
-    checked: measuredBy !== null,
-    disabled: measuredBy === null,
-    "data-testid": "boxes-lift",
-  });
-  const become = h(
-    "select",
-    { "data-testid": "boxes-become", onchange: () => showKind() },
-    BECOME.map(([value, text]) => h("option", { value }, text)),
-  );
+  const recordings = [["", "any recording"], ...project.recordings.map((one) => [String(one.id), one.name])];
+  const recording = select(recordings, { "data-testid": "boxes-recording", onchange: () => show() });
+  const kind = select(KINDS, { "data-testid": "boxes-kind" });
+  const measure = measuredBy(project);
+  const lift = checkbox("boxes-lift", measure !== null, { disabled: measure === null });
+  const become = select(BECOME, { "data-testid": "boxes-become", onchange: () => showKind() });
   const source = h("input", { type: "text", maxlength: 200, "data-testid": "boxes-source" });
   const minScore = h("input", { type: "number", step: "any", "data-testid": "boxes-min-score" });
-  const scoreHelp = h("span", { class: "help" });
+  const scoreHelp = h("span");
+  const how = measure === null ? ": this needs a view detector, train one first" : `, measured by: ${measure}`;
   const of2d = h(
-    "div",
-    { class: "stack" },
-    h("label", { class: "field" }, h("span", {}, "The boxes enclose"), kind),
-    h(
-      "label",
-      { class: "row" },
-      lift,
-      measuredBy === null
-        ? "Propose 3D boxes from them: this needs a view detector, train one first"
-        : `Propose 3D boxes from them, measured by: ${measuredBy}`,
-    ),
+    "div.stack",
+    field("The boxes enclose", kind),
+    h("label.row", lift, `Propose 3D boxes from them${how}`),
   );
   const ofProposals = h(
-    "div",
-    { class: "stack" },
-    h(
-      "label",
-      { class: "field" },
-      h("span", {}, "Source"),
-      source,
-      h("span", { class: "help" }, "Whose boxes they are. They replace what this source has proposed before."),
-    ),
-    h("label", { class: "field" }, h("span", {}, "Lowest score"), minScore, scoreHelp),
+    "div.stack",
+    field("Source", source, "Whose boxes they are. They replace what this source has proposed before."),
+    field("Lowest score", minScore, scoreHelp),
   );
-  const of3d = h(
-    "div",
-    { class: "stack" },
-    h("label", { class: "field" }, h("span", {}, "The boxes become"), become),
-    ofProposals,
-  );
-  const addAttributes = h("input", { type: "checkbox", "data-testid": "boxes-add-attributes" });
+  const of3d = h("div.stack", field("The boxes become", become), ofProposals);
+  const addAttributes = checkbox("boxes-add-attributes");
   const ofAttributes = h(
-    "label",
-    { class: "row" },
+    "label.row",
     addAttributes,
     "Add the file's attributes that the project lacks, and give labels the values that they lack",
   );
-  const about = h("div", { class: "stack", role: "status", "data-testid": "boxes-about" });
+  const about = h("div.stack", { role: "status", "data-testid": "boxes-about" });
 
   async function send() {
     const [chosen] = file.files ?? [];
     if (!chosen) return null;
     if (chosen.size > MOST_BYTES)
       throw new Error("The file has more than 64 MiB, the most that a page may send. Divide it.");
-    return app.api.upload(`${projectPath(name, "boxes-files")}?name=${encodeURIComponent(chosen.name)}`, chosen);
+    return app.api.post(withQuery(projectPath(name, "boxes-files"), { name: chosen.name }), chosen);
   }
 
   /** The file, matched with the chosen recording. */
   async function look() {
     const found = await upload;
     if (!found || !recording.value) return found;
-    return app.api.get(`${projectPath(name, "boxes-files", found.id)}?recording=${recording.value}`);
+    return app.api.get(withQuery(projectPath(name, "boxes-files", found.id), { recording: recording.value }));
   }
 
   async function show() {
-    asked += 1;
-    const own = asked;
+    const isNewest = begin();
     sent = null;
     isReading = true;
     about.replaceChildren("Reading …");
     try {
       const answer = await look();
-      if (own !== asked) return;
+      if (!isNewest()) return;
       if (answer && answer.id !== latest) source.value = answer.source;
       latest = answer?.id ?? latest;
       sent = answer;
-      about.replaceChildren(...(sent ? described(sent) : []).filter((line) => line !== null));
+      about.replaceChildren(...(sent ? described(sent) : []));
     } catch (error) {
-      if (own !== asked) return;
-      about.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
+      if (!isNewest()) return;
+      about.replaceChildren(errorBox(error));
     }
     isReading = false;
     classes.show(sent?.boxes ?? {});
@@ -177,8 +136,7 @@ export async function importBoxes(app, name) {
     if (!sent) throw new Error("Choose a file with boxes first.");
     if (sent.ambiguous) throw new Error("Choose the recording of the boxes: several have frames of these names.");
     const names = await classes.take();
-    /** @type {Api.Job} */
-    const job = await app.api.post(projectPath(name, "jobs"), {
+    return app.api.post(projectPath(name, "jobs"), {
       kind: "boxes",
       upload: sent.id,
       names,
@@ -192,8 +150,6 @@ export async function importBoxes(app, name) {
           }
         : { box_kind: kind.value, lift: lift.checked }),
     });
-    takeJob(app, job);
-    return job;
   }
 
   showKind();
@@ -202,53 +158,34 @@ export async function importBoxes(app, name) {
     testid: "boxes-dialog",
     wide: true,
     content: [
-      h(
-        "label",
-        { class: "field" },
-        h("span", {}, "File"),
+      field(
+        "File",
         file,
-        h(
-          "span",
-          { class: "help" },
-          "2D boxes on camera images: a COCO file (.json), or a YOLO or COCO folder packed as .zip. 3D boxes: " +
-            "boxes.json, OpenLABEL, nuScenes' results, a CSV file of upright boxes, or a folder such as KITTI's " +
-            "label_2 packed as .zip. Images and frames must have the names of the project's, such as 000012.",
-        ),
+        "2D boxes on camera images: a COCO file (.json), or a YOLO or COCO folder packed as .zip. 3D boxes: " +
+          "boxes.json, OpenLABEL, nuScenes' results, a CSV file of upright boxes, or a folder such as KITTI's " +
+          "label_2 packed as .zip. Images and frames must have the names of the project's, such as 000012.",
       ),
       about,
       classes.root,
-      ...(project.recordings.length > 1
-        ? [h("label", { class: "field" }, h("span", {}, "The boxes are of"), recording)]
-        : []),
+      project.recordings.length > 1 && field("The boxes are of", recording),
       of2d,
       of3d,
       ofAttributes,
     ],
-    actions: [
-      { label: "Cancel", value: "cancel" },
-      { label: "Import", value: "import" },
-    ],
-    submit: async (value) => (value === "import" ? start() : null),
+    actions: [CANCEL, { label: "Import", value: "import" }],
+    submit: start,
   });
 }
 
 /** A score with few digits. */
-function number(/** @type {number} */ value) {
-  return Number(value.toPrecision(3)).toString();
-}
+const number = (/** @type {number} */ value) => Number(value.toPrecision(3)).toString();
 
 /** What a file has. */
 function described(/** @type {Api.BoxesFile} */ { name, found, notes, ambiguous, is_3d }) {
-  const thing = is_3d ? "frame" : "image";
+  const things = count(ambiguous, is_3d ? "frame" : "image");
   return [
     h("p", { "data-testid": "boxes-found" }, `${name}: ${found}`),
     ...notes.map((note) => h("p", { "data-testid": "boxes-note" }, note)),
-    ambiguous
-      ? h(
-          "p",
-          { class: "error-box", role: "alert" },
-          `${count(ambiguous, thing)} could be of several recordings. Choose the recording below.`,
-        )
-      : null,
+    ...(ambiguous ? [errorBox(`${things} could be of several recordings. Choose the recording below.`)] : []),
   ];
 }

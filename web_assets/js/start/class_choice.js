@@ -1,8 +1,9 @@
 /** What becomes of classes of labels that a project does not have: one of its own, a new one, or nothing. */
 
 import { projectPath } from "../api.js";
-import { openDialog } from "../dialogs.js";
+import { CANCEL, openDialog } from "../dialogs.js";
 import { count, h } from "../dom.js";
+import { select } from "../forms.js";
 
 /** Values of a choice beside the project's classes; these have at least one character. */
 const LEAVE_OUT = "";
@@ -27,16 +28,14 @@ export function createClassChoice(app, { name, classes }, areAdded) {
   const choices = new Map();
   /** @type {string[]} */
   let labels = [];
-  const root = h("fieldset", { class: "choices", hidden: true, "data-testid": "boxes-classes" });
+  const root = h("fieldset.choices", { hidden: true, "data-testid": "boxes-classes" });
 
   function choice(/** @type {string} */ label) {
-    const like = alike(classes, label);
-    return h(
-      "select",
+    const known = classes.map((each) => [each, `are ${each}`]);
+    return select(
+      [[LEAVE_OUT, "leave out"], ...known, [ADD, `add the class ${label}`]],
       { "aria-label": `Class for ${label}`, "data-testid": `boxes-class-${label}` },
-      h("option", { value: LEAVE_OUT, selected: !like && !areAdded }, "leave out"),
-      classes.map((known) => h("option", { value: known, selected: known === like }, `are ${known}`)),
-      h("option", { value: ADD, selected: !like && areAdded }, `add the class ${label}`),
+      alike(classes, label) ?? (areAdded ? ADD : LEAVE_OUT),
     );
   }
 
@@ -49,12 +48,11 @@ export function createClassChoice(app, { name, classes }, areAdded) {
       root.hidden = unknown.length === 0;
       for (const label of unknown) if (!choices.has(label)) choices.set(label, choice(label));
       root.replaceChildren(
-        h("legend", { class: "field-label" }, "Classes that the project does not have"),
+        h("legend.field-label", "Classes that the project does not have"),
         ...unknown.map((label) =>
           h(
-            "label",
-            { class: "row" },
-            h("span", { class: "grow ellipsis" }, `${label} (${count(boxes[label], "box", "boxes")})`),
+            "label.row",
+            h("span.grow.ellipsis", `${label} (${count(boxes[label], "box", "boxes")})`),
             choices.get(label),
           ),
         ),
@@ -68,7 +66,6 @@ export function createClassChoice(app, { name, classes }, areAdded) {
       const wanted = values.flatMap(([label, value]) => (value === ADD ? [label] : []));
       if (wanted.length) {
         // an earlier try may have added some
-        /** @type {Api.ProjectInfo} */
         const present = await app.api.get(projectPath(name));
         const added = wanted.filter((label) => !present.classes.includes(label));
         if (added.length) await app.api.patch(projectPath(name), { classes: [...present.classes, ...added] });
@@ -92,12 +89,8 @@ export async function importLeftOut(/** @type {App} */ app, /** @type {Api.Job} 
     title: "Classes of the boxes that were left out",
     testid: "left-out-dialog",
     content: [choice.root],
-    actions: [
-      { label: "Cancel", value: "cancel" },
-      { label: "Import", value: "import" },
-    ],
-    async submit(value) {
-      if (value === "cancel") return null;
+    actions: [CANCEL, { label: "Import", value: "import" }],
+    async submit() {
       const names = await choice.take();
       return app.api.post(projectPath(project, "jobs"), { kind: "import", recordings, names });
     },

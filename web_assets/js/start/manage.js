@@ -1,8 +1,10 @@
 /** The menu of a project's card: its recordings, and renaming, copying and removing it. */
 
 import { projectPath } from "../api.js";
-import { openDialog } from "../dialogs.js";
-import { button, count, glyph, h } from "../dom.js";
+import { CANCEL, openDialog } from "../dialogs.js";
+import { button, count, dateOf, glyph, h } from "../dom.js";
+import { checkbox, field } from "../forms.js";
+
 import { manageRecordings } from "./recordings.js";
 
 /**
@@ -18,18 +20,16 @@ export function createMenu(app, project, refresh, onJob) {
   const item = (/** @type {string} */ id, /** @type {string} */ label, /** @type {() => Promise<unknown>} */ act) =>
     button(label, () => run(act), { class: "quiet", role: "menuitem", "data-testid": `${id}-${name}` });
   const remove = item("remove", "Remove …", () => removeProject(app, project));
-  const items = project.problem
-    ? [remove]
-    : [
-        item("recordings", "Recordings …", () => manageRecordings(app, name)),
-        item("rename", "Rename …", () => rename(app, name)),
-        item("copy", "Copy …", async () => {
-          const job = await copy(app, project);
-          if (job) onJob(job);
-        }),
-        remove,
-      ];
-  const list = h("div", { class: "menu", popover: "auto", role: "menu", "aria-label": `Project ${name}` }, items);
+  const others = [
+    item("recordings", "Recordings …", () => manageRecordings(app, name)),
+    item("rename", "Rename …", () => rename(app, name)),
+    item("copy", "Copy …", async () => {
+      const job = await copy(app, project);
+      if (job) onJob(job);
+    }),
+  ];
+  const items = [project.problem ? [] : others, remove].flat();
+  const list = h("div.menu", { popover: "auto", role: "menu", "aria-label": `Project ${name}` }, items);
   const opener = button(glyph("more"), null, {
     class: "icon quiet",
     title: "Recordings, rename, copy, remove",
@@ -48,39 +48,30 @@ export function createMenu(app, project, refresh, onJob) {
     list.hidePopover();
     try {
       await act();
-    } catch (error) {
-      app.toast(error);
+    } finally {
+      await refresh();
     }
-    await refresh();
   }
 
   return [opener, list];
 }
 
-function nameField(/** @type {string} */ label, /** @type {string} */ value) {
-  const input = h("input", {
-    required: true,
-    maxlength: 64,
-    autofocus: true,
-    autocomplete: "off",
-    value,
-    "data-testid": "new-name",
-  });
-  return { input, root: h("label", { class: "field" }, h("span", {}, label), input) };
+/** A field for a name that is needed. */
+function nameField(/** @type {Attributes} */ attributes) {
+  return h("input", { required: true, maxlength: 64, autofocus: true, autocomplete: "off", ...attributes });
 }
 
 function rename(/** @type {App} */ app, /** @type {string} */ project) {
-  const { input, root } = nameField("New name", project);
+  const input = nameField({ value: project, "data-testid": "new-name" });
   return openDialog({
     title: `Rename ${project}`,
     testid: "rename-dialog",
-    content: [root, h("p", { class: "help" }, "Its folder is renamed, too. Pages that show the project follow.")],
-    actions: [
-      { label: "Cancel", value: "cancel" },
-      { label: "Rename", value: "rename" },
+    content: [
+      field("New name", input),
+      h("p.help", "Its folder is renamed, too. Pages that show the project follow."),
     ],
-    submit: (value) =>
-      value === "cancel" ? null : app.api.post(projectPath(project, "rename"), { name: input.value.trim() }),
+    actions: [CANCEL, { label: "Rename", value: "rename" }],
+    submit: () => app.api.post(projectPath(project, "rename"), { name: input.value.trim() }),
   });
 }
 
@@ -90,36 +81,28 @@ function rename(/** @type {App} */ app, /** @type {string} */ project) {
  * @returns {Promise<Api.Job | null>}
  */
 function copy(/** @type {App} */ app, /** @type {Api.ProjectSummary} */ project) {
-  const { input, root } = nameField("Name of the copy", `${project.name}-copy`);
-  const labels = h("input", { type: "checkbox", checked: true, "data-testid": "copy-labels" });
+  const input = nameField({ value: `${project.name}-copy`, "data-testid": "new-name" });
+  const labels = checkbox("copy-labels", true);
   return openDialog({
     title: `Copy ${project.name}`,
     testid: "copy-dialog",
     content: [
-      root,
-      h("label", { class: "row" }, labels, `With its ${count(numberOfLabels(project), "label")}`),
-      h(
-        "p",
-        { class: "help" },
-        "The copy has the same classes, settings and detectors, and reads the same recordings.",
-      ),
+      field("Name of the copy", input),
+      h("label.row", labels, `With its ${count(numberOfLabels(project), "label")}`),
+      h("p.help", "The copy has the same classes, settings and detectors, and reads the same recordings."),
     ],
-    actions: [
-      { label: "Cancel", value: "cancel" },
-      { label: "Copy", value: "copy" },
-    ],
-    submit(value) {
-      if (value === "cancel") return null;
+    actions: [CANCEL, { label: "Copy", value: "copy" }],
+    submit() {
       const request = { kind: "copy", name: input.value.trim(), labels: labels.checked };
       return app.api.post(projectPath(project.name, "jobs"), request);
     },
   });
 }
 
-async function removeProject(/** @type {App} */ app, /** @type {Api.ProjectSummary} */ project) {
+function removeProject(/** @type {App} */ app, /** @type {Api.ProjectSummary} */ project) {
   const { name, problem } = project;
   const labels = numberOfLabels(project);
-  const { input, root } = nameField(`To remove it, type its name: ${name}`, "");
+  const input = nameField({ "data-testid": "new-name" });
   const mustType = labels > 0 || Boolean(problem);
   return openDialog({
     title: `Remove ${name}`,
@@ -127,25 +110,19 @@ async function removeProject(/** @type {App} */ app, /** @type {Api.ProjectSumma
     content: [
       h(
         "p",
-        {},
         problem
           ? "It cannot be opened, so what it holds is not known."
           : `It has ${count(project.recordings, "recording")} and ${count(labels, "label")}.`,
       ),
       h(
-        "p",
-        { class: "help" },
+        "p.help",
         "Nothing is deleted: you can bring it back, with labels and detectors, at the end of the list of projects. " +
           "The files of its recordings stay where they are.",
       ),
-      ...(mustType ? [root] : []),
+      mustType && field(`To remove it, type its name: ${name}`, input),
     ],
-    actions: [
-      { label: "Cancel", value: "cancel" },
-      { label: "Remove", value: "remove", kind: "danger" },
-    ],
-    submit(value) {
-      if (value === "cancel") return null;
+    actions: [CANCEL, { label: "Remove", value: "remove", kind: "danger" }],
+    submit() {
       if (mustType && input.value.trim() !== name) throw new Error(`Please type the name of the project: ${name}`);
       return app.api.del(projectPath(name));
     },
@@ -157,33 +134,28 @@ const numberOfLabels = (/** @type {Api.ProjectSummary} */ { labels_by_state: sta
 
 /** The removed projects, which can be brought back. */
 export function createRemoved(/** @type {App} */ app, /** @type {() => unknown} */ refresh) {
-  const list = h("ul", { class: "recordings" });
-  const root = h("details", { hidden: true, "data-testid": "removed" }, h("summary", {}, "Removed projects"), list);
+  const list = h("ul.recordings");
+  const root = h("details", { hidden: true, "data-testid": "removed" }, h("summary", "Removed projects"), list);
 
   async function bringBack(/** @type {Api.RemovedProject} */ { id }) {
     try {
       await app.api.post(`/api/removed-projects/${encodeURIComponent(id)}/restore`);
-    } catch (error) {
-      app.toast(error);
+    } finally {
+      await refresh();
     }
-    await refresh();
   }
 
-  function row(/** @type {Api.RemovedProject} */ project) {
-    const when = new Date(project.removed_s * 1000).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
-    return h(
-      "li",
-      { class: "row" },
-      h("span", { class: "ellipsis" }, project.name),
-      h("span", { class: "muted" }, `removed ${when}`),
+  const row = (/** @type {Api.RemovedProject} */ project) =>
+    h(
+      "li.row",
+      h("span.ellipsis", project.name),
+      h("span.muted", `removed ${dateOf(project.removed_s * 1000)}`),
       button("Bring back", () => bringBack(project), { "data-testid": `bring-back-${project.name}` }),
     );
-  }
 
   return {
     root,
     async load() {
-      /** @type {Api.RemovedProject[]} */
       const removed = await app.api.get("/api/removed-projects");
       root.hidden = removed.length === 0;
       list.replaceChildren(...removed.map(row));
@@ -201,15 +173,7 @@ const ROTATIONS = [
 
 /** Asks for name, classes and rotation. Returns the project's summary, or null if the dialog was cancelled. */
 export function createProject(/** @type {App} */ app) {
-  const name = h("input", {
-    name: "name",
-    required: true,
-    maxlength: 64,
-    autofocus: true,
-    placeholder: "street-hands",
-    autocomplete: "off",
-    "data-testid": "project-name",
-  });
+  const name = nameField({ name: "name", placeholder: "street-hands", "data-testid": "project-name" });
   const classes = h("input", {
     name: "classes",
     required: true,
@@ -217,58 +181,35 @@ export function createProject(/** @type {App} */ app) {
     autocomplete: "off",
     "data-testid": "project-classes",
   });
-  const choices = ROTATIONS.map(([value, title, help]) =>
-    h(
-      "label",
-      { class: "choice" },
-      h("input", {
-        type: "radio",
-        name: "rotation",
-        value,
-        checked: value === "auto",
-        "data-testid": `rotation-${value}`,
-      }),
-      h("span", {}, h("strong", {}, title), h("span", { class: "help" }, help)),
-    ),
+  const rotation = (/** @type {string} */ value) =>
+    h("input", {
+      type: "radio",
+      name: "rotation",
+      value,
+      checked: value === "auto",
+      "data-testid": `rotation-${value}`,
+    });
+  const rotations = ROTATIONS.map(([value, title, help]) =>
+    h("label.choice", rotation(value), h("span", h("strong", title), h("span.help", help))),
   );
   return openDialog({
     title: "New project",
     testid: "new-project-dialog",
     content: [
-      h(
-        "label",
-        { class: "field" },
-        h("span", {}, "Name"),
-        name,
-        h("span", { class: "help" }, "Letters, digits, '-' and '_'. The project's folder gets this name."),
-      ),
-      h(
-        "label",
-        { class: "field" },
-        h("span", {}, "Classes"),
-        classes,
-        h(
-          "span",
-          { class: "help" },
-          "Separated by commas. The first nine get the keys 1 to 9. You can add more later.",
-        ),
-      ),
-      h("fieldset", { class: "choices" }, h("legend", { class: "field-label" }, "Rotation of boxes"), choices),
+      field("Name", name, "Letters, digits, '-' and '_'. The project's folder gets this name."),
+      field("Classes", classes, "Separated by commas. The first nine get the keys 1 to 9. You can add more later."),
+      h("fieldset.choices", h("legend.field-label", "Rotation of boxes"), rotations),
     ],
-    actions: [
-      { label: "Cancel", value: "cancel" },
-      { label: "Create", value: "create" },
-    ],
-    async submit(value, form) {
-      if (value === "cancel") return null;
+    actions: [CANCEL, { label: "Create", value: "create" }],
+    async submit(_, form) {
       const labels = classes.value
         .split(",")
         .map((text) => text.trim())
         .filter(Boolean);
       if (!name.value.trim()) throw new Error("Please give the project a name.");
       if (!labels.length) throw new Error("Please name at least one class: the kind of object that you label.");
-      const rotation = new FormData(form).get("rotation");
-      return app.api.post("/api/projects", { name: name.value.trim(), classes: labels, rotation });
+      const chosen = new FormData(form).get("rotation");
+      return app.api.post("/api/projects", { name: name.value.trim(), classes: labels, rotation: chosen });
     },
   });
 }

@@ -2,21 +2,29 @@
 
 import { projectPath } from "../api.js";
 import { editClasses } from "../classes/classes.js";
+import { STATES } from "../colors.js";
 import { button, count, glyph, h, iconButton } from "../dom.js";
-import { messageOf } from "../errors.js";
+import { errorBox } from "../forms.js";
 import { guide } from "../guide.js";
-import { createJobLine, followImports, isActive, isOfImport, takeJob } from "../jobs.js";
+import { createJobLine, isActive, jobsOf, OF_START, takeJob } from "../jobs.js";
 import { makeHash } from "../router.js";
 import { importBoxes } from "./boxes_file.js";
 import { createMenu, createProject, createRemoved } from "./manage.js";
 import { addRecordings, locateRecording } from "./recordings.js";
 
-const STATES = ["proposed", "accepted", "edited", "rejected"];
+/** Classes that a card names; of more, it says how many there are. */
+const NAMED = 8;
+/** From a drag to a dataset. @type {["drag" | "box" | "track" | "download", string, string][]} */
+const STEPS = [
+  ["drag", "Drag a 2D box", "around an object on the camera image."],
+  ["box", "Take the 3D box", "that is measured in the points, or correct it."],
+  ["track", "Follow it", "through the recording, and review what was found."],
+  ["download", "Export", "in the format of your training: KITTI, nuScenes, OpenLABEL …"],
+];
 
-export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
-  const list = h("div", { class: "projects", "aria-live": "polite" });
-  /** @type {JobLine[]} */
-  let lines = [];
+/** @type {Mode["mount"]} */
+export function mount(root, app, until) {
+  const list = h("div.projects", { "aria-live": "polite" });
   /** The projects whose cards are shown, as text. */
   let shown = "";
   /**
@@ -28,37 +36,37 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
   /** Id of the job that makes a sample for this operator. */
   let sample = "";
   const removed = createRemoved(app, refresh);
-  const page = h(
-    "div",
-    { class: "page start" },
-    h("div", { class: "row" }, h("h1", { class: "grow" }, "Projects"), sampleButton(), newButton()),
-    list,
-    removed.root,
-    h("p", { class: "help" }, app.state.version ? `annotator ${app.state.version}` : ""),
+  /** To begin a project; where there is none yet, the list has it. */
+  const begin = h("div.row");
+  root.append(
+    h(
+      "div.page.start",
+      h("div.row", h("h1.grow", "Projects"), begin),
+      list,
+      removed.root,
+      h("p.help", app.state.version ? `annotator ${app.state.version}` : ""),
+    ),
   );
 
-  function newButton() {
-    return button([glyph("plus"), "New project"], make, { class: "primary", "data-testid": "new-project" });
+  function newButton(look = "primary") {
+    return button([glyph("plus"), "New project"], make, { class: look, "data-testid": "new-project" });
   }
 
-  function sampleButton() {
-    return button("Try a sample project", () => begunSample(), {
+  function sampleButton(look = "") {
+    return button("Try a sample project", makeSample, {
+      class: look,
       title: "Makes a project with a generated recording, in some seconds, and shows what to do with it",
       "data-testid": "sample-project",
     });
   }
 
-  async function begunSample() {
-    try {
-      /** @type {Api.Sample} */
-      const { name, job } = await app.api.post("/api/sample-project");
-      if (!job) return open(name);
-      sample = job.id;
-      takeJob(app, job);
-      await refresh();
-    } catch (error) {
-      app.toast(error);
-    }
+  async function makeSample() {
+    const { name, job } = await app.api.post("/api/sample-project");
+    if (!job) return open(name);
+    sample = job.id;
+    takeJob(app, job);
+    // it may be made already
+    if (!openSample()) await refresh();
   }
 
   function open(/** @type {string} */ name) {
@@ -77,178 +85,165 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
     const project = await createProject(app);
     if (!project) return;
     await refresh();
-    await add(project.name);
+    await andRefresh(addRecordings(app, project.name));
   }
 
-  async function add(/** @type {string} */ name) {
-    await addRecordings(app, name);
-    await refresh();
-  }
-
-  async function locate(/** @type {string} */ name, /** @type {Api.MissingRecording} */ recording) {
-    if (await locateRecording(app, name, recording)) await refresh();
-  }
-
-  async function change(/** @type {string} */ name) {
-    try {
-      await editClasses(app, name);
-    } catch (error) {
-      app.toast(error);
-    }
-    await refresh();
-  }
-
-  async function addBoxes(/** @type {string} */ name) {
-    try {
-      const job = await importBoxes(app, name);
-      if (!job) return;
-      started.add(job.id);
-      await refresh();
-    } catch (error) {
-      app.toast(error);
-    }
-  }
+  /** Shows the projects again after what was done with one of them, also if that failed. */
+  const andRefresh = (/** @type {Promise<unknown>} */ done) => done.finally(refresh);
 
   function begun(/** @type {Api.Job} */ job) {
     started.add(job.id);
     takeJob(app, job);
   }
 
+  async function addBoxes(/** @type {string} */ name) {
+    const job = await importBoxes(app, name);
+    if (job) begun(job);
+  }
+
+  /** @type {CardActions} */
+  const actions = {
+    add: (name) => andRefresh(addRecordings(app, name)),
+    addBoxes: (name) => andRefresh(addBoxes(name)),
+    locate: (name, recording) => andRefresh(locateRecording(app, name, recording)),
+    change: (name) => andRefresh(editClasses(app, name)),
+  };
+
   async function refresh() {
+    // signed out: the page is loaded again after the next sign-in
+    if (!app.state.operator) return;
     try {
-      /** @type {Api.ProjectSummary[]} */
       const projects = await app.api.get("/api/projects");
       await removed.load();
       const menu = list.querySelector(":popover-open");
       const text = JSON.stringify(projects);
       // new cards would take an open menu away, and a click whose button is down
-      if (text === shown) return showLines();
+      if (text === shown) return;
       if (menu) return menu.addEventListener("toggle", refresh, { once: true });
       shown = text;
-      lines = projects.map(({ name }) => importLine(app, name, started));
-      list.replaceChildren(
-        ...(projects.length
-          ? projects.map((project, i) =>
-              card(project, {
-                add,
-                addBoxes,
-                locate,
-                change,
-                line: lines[i].root,
-                menu: createMenu(app, project, refresh, begun),
-              }),
-            )
-          : [nothing()]),
-      );
-      showLines();
+      const cards = projects.map((project) => {
+        const line = importLine(app, project.name, started);
+        return card(project, actions, line, createMenu(app, project, refresh, begun));
+      });
+      begin.replaceChildren(...(cards.length ? [sampleButton(), newButton()] : []));
+      list.replaceChildren(...(cards.length ? cards : [nothing()]));
     } catch (error) {
       shown = "";
-      const retry = button("Try again", refresh);
-      list.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error)), h("div", {}, retry));
+      list.replaceChildren(errorBox(error), h("div", button("Try again", refresh)));
     }
   }
 
   function nothing() {
     return h(
-      "div",
-      { class: "panel empty", "data-testid": "no-projects" },
-      h("h2", {}, "No project yet"),
-      h("p", {}, "A project has recordings, their labels, and the detectors that are trained on them."),
-      h("p", {}, "The sample takes some seconds, and leads through the first box: drag, take, follow, export."),
-      h("div", { class: "row" }, sampleButton(), newButton()),
+      "div.panel.empty",
+      { "data-testid": "no-projects" },
+      h("h2", "No project yet"),
+      h(
+        "ol.first-steps",
+        STEPS.map(([icon, title, text]) => h("li", glyph(icon), h("strong", title), text)),
+      ),
+      h("div.row", sampleButton("primary"), newButton("")),
+      h("p", "The sample is a generated recording, made in some seconds. A guide leads through these steps."),
     );
   }
 
-  function showLines() {
-    for (const line of lines) line.show();
+  const running = () =>
+    app.state.jobs.filter((job) => OF_START.includes(job.kind) && isActive(job)).map(({ id }) => id);
+  let before = running();
+  function showJobs() {
+    const now = running();
+    const hasEnded = before.some((id) => !now.includes(id));
+    before = now;
+    if (hasEnded && !openSample()) void refresh();
   }
 
-  const stop = [app.state.on("jobs", showLines), followImports(app, () => openSample() || refresh())];
-  root.append(page);
-  refresh();
-  return {
-    unmount() {
-      for (const end of stop) end();
-    },
-  };
+  app.state.on("jobs", showJobs, until);
+  app.events.on("reconnected", refresh, until);
+  void refresh();
 }
 
 /** The progress of reading boxes of recordings or of a file, or of a copy, or the reason why that failed. */
 function importLine(/** @type {App} */ app, /** @type {string} */ project, /** @type {Set<string>} */ started) {
-  const own = () =>
-    app.state.jobs
-      .filter((job) => isOfImport(job) && job.project === project)
-      .toSorted((a, b) => b.created_ns - a.created_ns);
-  return createJobLine(
-    app,
-    "import",
-    () => own().find(isActive) ?? own().find((job, i) => i === 0 && (job.state === "failed" || started.has(job.id))),
-  );
+  return createJobLine(app, "import", () => {
+    const own = jobsOf(app, project, ...OF_START);
+    const isShown = own.length > 0 && (own[0].state === "failed" || started.has(own[0].id));
+    return own.find(isActive) ?? (isShown ? own[0] : undefined);
+  });
 }
 
 /**
- * @param {Api.ProjectSummary} project
- * @param {object} parts
- * @param {(name: string) => void} parts.add
- * @param {(name: string) => void} parts.addBoxes
- * @param {(name: string, recording: Api.MissingRecording) => void} parts.locate
- * @param {(name: string) => void} parts.change
- * @param {HTMLElement} parts.line
- * @param {HTMLElement[]} parts.menu
+ * What the buttons of a card do, which get the project's name.
+ *
+ * @typedef {object} CardActions
+ * @property {(name: string) => unknown} add
+ * @property {(name: string) => unknown} addBoxes
+ * @property {(name: string, recording: Api.MissingRecording) => unknown} locate
+ * @property {(name: string) => unknown} change
  */
-function card(project, { add, addBoxes, locate, change, line, menu }) {
+
+function card(
+  /** @type {Api.ProjectSummary} */ project,
+  /** @type {CardActions} */ { add, addBoxes, locate, change },
+  /** @type {HTMLElement} */ line,
+  /** @type {HTMLElement[]} */ menu,
+) {
   const { name, problem } = project;
-  const labels = project.labels_by_state;
-  const title = problem
-    ? h("h2", { class: "ellipsis" }, name)
-    : h(
-        "h2",
-        { class: "ellipsis" },
-        h("a", { href: makeHash(name, "annotate"), "data-testid": `open-${name}` }, name),
-      );
-  const box = h("section", { class: "panel project", "data-testid": `project-${name}`, "aria-label": name }, [
-    h("div", { class: "row" }, h("span", { class: "grow ellipsis" }, title), menu),
-  ]);
-  if (problem) {
-    box.append(h("p", { class: "error-box" }, problem));
-    return box;
-  }
+  const link = h("a", { href: makeHash(name, "annotate"), "data-testid": `open-${name}` }, name);
+  const title = h("span.grow.ellipsis", h("h2.ellipsis", problem ? name : link));
   const isEmpty = project.recordings === 0;
+  const next = nextStep(project);
+  const others = project.classes.slice(NAMED);
   const addButton = button([glyph("plus"), "Recording"], () => add(name), {
     class: isEmpty ? "primary" : "",
     "data-testid": `add-recording-${name}`,
   });
-  const boxesButton = button([glyph("plus"), "Boxes"], () => addBoxes(name), {
-    "data-testid": `import-boxes-${name}`,
-  });
-  boxesButton.title = "Import 2D boxes on camera images, or 3D boxes as proposals or labels, from a file";
-  boxesButton.hidden = isEmpty;
-  const next = nextStep(project);
   const done = `${project.frames_done.toLocaleString("en")} of ${count(project.frames, "frame")} done`;
-  box.prepend(picture(project));
-  box.append(
-    h(
-      "p",
-      { class: "classes" },
-      project.classes.map((label) => h("span", { class: "chip" }, label)),
-      iconButton("edit", `Change the classes and attributes of ${name}`, () => change(name), {
-        "data-testid": `edit-classes-${name}`,
-      }),
-    ),
-    h(
-      "p",
-      { class: "number muted" },
-      isEmpty ? "No recording yet: add one to begin." : `${count(project.recordings, "recording")}, ${done}`,
-    ),
-    h("progress", { max: project.frames || 1, value: project.frames_done, "aria-label": done, title: done }),
-    h("p", { class: "number states" }, stateCounts(labels)),
-    ...project.missing.map((recording) => missing(recording, () => locate(name, recording))),
-    line,
-    h("div", { class: "row next" }, next && link(name, next.mode, next.text)),
-    h("div", { class: "row" }, addButton, boxesButton),
-  );
-  return box;
+  const content = problem
+    ? [h("p.error-box", problem)]
+    : [
+        h(
+          "p.classes",
+          project.classes.slice(0, NAMED).map((label) => h("span.chip", label)),
+          others.length > 0 && h("span.chip", { title: others.join(", ") }, `+ ${others.length}`),
+          iconButton("edit", `Change the classes and attributes of ${name}`, () => change(name), {
+            "data-testid": `edit-classes-${name}`,
+          }),
+        ),
+        h(
+          "p.number.muted",
+          isEmpty ? "No recording yet: add one to begin." : `${count(project.recordings, "recording")}, ${done}`,
+        ),
+        !isEmpty &&
+          h("progress", { max: project.frames || 1, value: project.frames_done, "aria-label": done, title: done }),
+        !isEmpty && h("p.number.states", stateCounts(project.labels_by_state)),
+        ...project.missing.map((recording) =>
+          h(
+            "div.row.missing",
+            h("span.grow.bad", `${recording.name}: its folder was not found`),
+            button("Locate …", () => locate(name, recording), { "data-testid": `locate-${recording.name}` }),
+          ),
+        ),
+        line,
+        h("div.row.next", next ? goOn(name, next) : addButton),
+        h(
+          "div.row",
+          !isEmpty && addButton,
+          button([glyph("plus"), "Boxes"], () => addBoxes(name), {
+            title: "Import 2D boxes on camera images, or 3D boxes as proposals or labels, from a file",
+            hidden: isEmpty,
+            "data-testid": `import-boxes-${name}`,
+          }),
+        ),
+      ];
+  return h("section.panel.project", { "data-testid": `project-${name}`, "aria-label": name }, [
+    !problem && picture(project),
+    h("div.row", title, menu),
+    ...content,
+  ]);
 }
+
+const goOn = (/** @type {string} */ name, /** @type {NonNullable<ReturnType<typeof nextStep>>} */ { mode, text }) =>
+  h("a.button.primary-link", { href: makeHash(name, mode), "data-testid": `next-${name}` }, text);
 
 /** What to do next in a project with recordings. */
 export function nextStep(
@@ -263,9 +258,10 @@ export function nextStep(
   return { mode: "export", text: "Export the boxes" };
 }
 
-/** The first frame of a project; its place stays where there is none. */
+/** The first frame of a project, over a sign that is seen where there is none. */
 function picture(/** @type {Api.ProjectSummary} */ { name, first_frame }) {
-  const frame = h("a", { class: "picture", href: makeHash(name, "annotate"), tabindex: -1, "aria-hidden": "true" });
+  const attributes = { href: makeHash(name, "annotate"), tabindex: -1, "aria-hidden": "true" };
+  const frame = h("a.picture", attributes, glyph("box"));
   if (first_frame === null) return frame;
   const src = `${projectPath(name, "frames", first_frame)}/image.jpg?width=320`;
   // a frame that cannot be read has none
@@ -280,23 +276,9 @@ function picture(/** @type {Api.ProjectSummary} */ { name, first_frame }) {
   return frame;
 }
 
-function missing(/** @type {Api.MissingRecording} */ { name }, /** @type {() => void} */ onLocate) {
-  const locate = button("Locate …", onLocate, { "data-testid": `locate-${name}` });
-  return h(
-    "div",
-    { class: "row missing" },
-    h("span", { class: "grow bad" }, `${name}: its folder was not found`),
-    locate,
-  );
-}
-
-function link(/** @type {string} */ name, /** @type {string} */ mode, /** @type {string} */ text) {
-  return h("a", { class: "button primary-link", href: makeHash(name, mode), "data-testid": `next-${name}` }, text);
-}
-
 function stateCounts(/** @type {Record<string, number>} */ labels) {
   const known = STATES.filter((state) => labels[state] > 0);
-  if (!known.length) return [h("span", { class: "muted" }, "no labels")];
+  if (!known.length) return [h("span.muted", "no boxes yet")];
   return known.map((state) =>
     h("span", { class: `state-${state}` }, `${labels[state].toLocaleString("en")} ${state}`),
   );

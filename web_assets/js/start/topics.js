@@ -1,8 +1,9 @@
 /** The topics of a bag that is to be added: chosen by the server where that is clear, else by the operator. */
 
-import { openDialog } from "../dialogs.js";
+import { newest, withQuery } from "../api.js";
+import { CANCEL, openDialog } from "../dialogs.js";
 import { count, h } from "../dom.js";
-import { messageOf } from "../errors.js";
+import { errorBox } from "../forms.js";
 
 /**
  * What can be chosen: its name, the options of the topics that can be named, and what a topic is used as.
@@ -28,13 +29,11 @@ const CHOICES = [
  */
 export async function chooseTopics(/** @type {App} */ app, /** @type {Api.FolderEntry} */ entry) {
   const selects = CHOICES.map(({ id }) => h("select", { "data-testid": `topic-${id}`, onchange: () => void show() }));
-  const rows = CHOICES.map(({ label }, index) =>
-    h("label", { class: "row bag-topic" }, h("span", {}, label), selects[index]),
-  );
-  const preview = h("figure", { class: "bag-preview", role: "status" });
+  const rows = CHOICES.map(({ label }, index) => h("label.row.bag-topic", h("span", label), selects[index]));
+  const preview = h("figure.bag-preview", { role: "status" });
   /** @type {Api.BagPreview | null} */
   let bag = null;
-  let asked = 0;
+  const begin = newest();
 
   /** The options that the operator has chosen; what is not chosen is left to the server. */
   function options() {
@@ -50,20 +49,16 @@ export async function chooseTopics(/** @type {App} */ app, /** @type {Api.Folder
 
   async function show() {
     const chosen = options();
-    asked += 1;
-    const mine = asked;
-    preview.replaceChildren(h("figcaption", { class: "muted" }, "Reading the first frame …"));
+    const isNewest = begin();
+    preview.replaceChildren(h("figcaption.muted", "Reading the first frame …"));
     try {
-      const query = new URLSearchParams({ path: entry.path, ...chosen });
-      /** @type {Api.BagPreview} */
-      const answer = await app.api.get(`/api/bags?${query}`);
-      if (mine !== asked) return;
+      const answer = await app.api.get(withQuery("/api/bags", { path: entry.path, ...chosen }));
+      if (!isNewest()) return;
       bag = answer;
       fill(answer, chosen);
       preview.replaceChildren(...describe(answer));
     } catch (error) {
-      if (mine !== asked) return;
-      preview.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
+      if (isNewest()) preview.replaceChildren(errorBox(error));
     }
   }
 
@@ -92,12 +87,8 @@ export async function chooseTopics(/** @type {App} */ app, /** @type {Api.Folder
     testid: "topics-dialog",
     wide: true,
     content: [...rows, preview],
-    actions: [
-      { label: "Cancel", value: "cancel" },
-      { label: "Add", value: "add" },
-    ],
-    submit(value) {
-      if (value === "cancel") return null;
+    actions: [CANCEL, { label: "Add", value: "add" }],
+    submit() {
       if (!bag?.frames) throw new Error("Please choose topics that can be read first.");
       return options();
     },
@@ -117,11 +108,11 @@ function describe(/** @type {Api.BagPreview} */ { frames, notes, problem, pictur
         options.reduce((one, flag) => one.replace(new RegExp(`${flag}(?!-)`, "g"), label), message),
       problem,
     );
-    return [h("p", { class: "error-box", role: "alert", "data-testid": "topics-problem" }, text)];
+    return [errorBox(text, "topics-problem")];
   }
   return [
     h("img", { src: picture, alt: "The first frame with its points, near ones red", "data-testid": "topics-preview" }),
-    h("figcaption", {}, `${count(frames, "frame")}. The first one, with its points: near ones red, far ones blue.`),
-    ...notes.map((note) => h("p", { class: "help" }, note)),
+    h("figcaption", `${count(frames, "frame")}. The first one, with its points: near ones red, far ones blue.`),
+    ...notes.map((note) => h("p.help", note)),
   ];
 }

@@ -3,9 +3,10 @@
  * --json`.
  */
 
-import { createChart, duration, number, percent, section, table } from "../charts.js";
-import { count, h, patch } from "../dom.js";
-import { messageOf } from "../errors.js";
+import { createCharts, duration, number, percent, table } from "../charts.js";
+import { STATES } from "../colors.js";
+import { count, h, nothing, patch } from "../dom.js";
+import { errorBox } from "../forms.js";
 import { makeHash } from "../router.js";
 import { createWork, dayTable, peopleTable, qualityTable, rangeTable } from "./work.js";
 
@@ -15,78 +16,57 @@ const REST = 20;
 const MOST_VALUES = 12;
 /** Characters of a value that are shown. */
 const MOST_CHARACTERS = 40;
-const STATES = ["proposed", "accepted", "edited", "rejected"];
-/** @type {Record<string, string>} */
-const ORIGINS = {
-  "proposal accepted untouched": "Proposal, accepted untouched",
-  "proposal edited": "Proposal, edited",
-  "from nothing": "From scratch",
-  "placed in 3D": "Placed in 3D",
-  copied: "Copied",
-  "import edited": "Imported, edited",
-};
 /** Listed even without boxes: these compare proposals with drawing from scratch. */
 const ALWAYS = ["proposal accepted untouched", "proposal edited", "from nothing"];
 
-export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
-  const tiles = h("div", { class: "tiles", "data-testid": "stats-tiles" });
-  const secondsHost = h("div", { class: "chart" });
-  const actionsHost = h("div", { class: "chart" });
-  const stateHost = h("div", { class: "chart" });
-  const tables = h("div", { class: "stack" });
-  const chartsBox = h(
-    "div",
-    { class: "charts three" },
-    h("figure", {}, h("figcaption", {}, "Seconds per box, by origin"), secondsHost),
-    h("figure", {}, h("figcaption", {}, "Actions per box"), actionsHost),
-    h("figure", {}, h("figcaption", {}, "Boxes by class and state"), stateHost),
-  );
-  const chartsPanel = h("section", { class: "panel" }, h("div", { class: "body" }, chartsBox));
+/** @type {Mode["mount"]} */
+export function mount(root, app, until) {
+  const tiles = h("div.tiles", { "data-testid": "stats-tiles" });
+  const tables = h("div.stack");
+  const charts = createCharts("div.charts.three", [
+    ["Seconds per box, by origin", null, effortChart("seconds_a_box", "accent")],
+    ["Actions per box", null, effortChart("actions_a_box", "proposed")],
+    ["Boxes by class and state", null, stateChart],
+  ]);
+  const chartsPanel = h("section.panel", h("div.body", charts.root));
   const work = createWork();
   root.append(
     h(
-      "div",
-      { class: "page wide", "data-testid": "statistics" },
-      h("h1", {}, "Statistics"),
+      "div.page.wide",
+      { "data-testid": "statistics" },
+      h("h1", "Statistics"),
       tiles,
       work.element,
       chartsPanel,
       tables,
     ),
   );
-  /** @type {Api.ReportedStatistics | null} */
-  let known = null;
-  let ended = false;
   /** @type {ReturnType<typeof setTimeout> | undefined} */
   let timer;
   let restsUntilMs = 0;
-  const charts = [
-    createChart(secondsHost, (colors) => effortChart(known, "seconds_a_box", colors.accent)),
-    createChart(actionsHost, (colors) => effortChart(known, "actions_a_box", colors.proposed)),
-    createChart(stateHost, (colors) => stateChart(known, colors)),
-  ];
 
   async function load() {
     timer = undefined;
     const beganMs = performance.now();
-    /** @type {Api.ReportedStatistics} */
-    let fresh;
     try {
-      fresh = await app.api.get(app.path("statistics"));
+      const known = await app.api.get(app.path("statistics"));
+      if (!until.aborted) show(known);
     } catch (error) {
-      if (!ended) patch(tiles, h("p", { class: "error-box", role: "alert" }, messageOf(error)));
-      return;
+      if (!until.aborted) patch(tiles, errorBox(error));
     } finally {
       restsUntilMs = performance.now() + REST * (performance.now() - beganMs);
     }
-    if (ended) return;
-    known = fresh;
-    const isEmpty = fresh.labels.total === 0;
-    patch(tiles, tilesOf(fresh));
-    patch(tables, isEmpty ? nothingYet(app) : tablesOf(fresh));
+  }
+
+  function show(/** @type {Api.ReportedStatistics} */ known) {
+    const isEmpty = known.labels.total === 0;
+    const text = "The numbers are shown once objects are labelled or proposed.";
+    const href = makeHash(app.state.route.project, "annotate");
+    patch(tiles, tilesOf(known));
+    patch(tables, isEmpty ? nothing("No boxes yet", text, href, "Annotate") : tablesOf(known));
     chartsPanel.hidden = isEmpty;
-    work.show(fresh.progress);
-    for (const chart of charts) void chart.draw();
+    work.show(known.progress);
+    void charts.draw(known);
   }
 
   /** Reads the numbers again, not more often than the server can well compute them. */
@@ -94,20 +74,17 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     timer ??= setTimeout(load, Math.max(0, restsUntilMs - performance.now()));
   }
 
-  const stop = [app.events.on("frame", loadSoon), app.events.on("reconnected", loadSoon)];
+  app.events.on("frame", loadSoon, until);
+  app.events.on("reconnected", loadSoon, until);
+  until.addEventListener("abort", () => {
+    clearTimeout(timer);
+    work.destroy();
+    charts.destroy();
+  });
   void load();
-  return {
-    unmount() {
-      ended = true;
-      clearTimeout(timer);
-      work.destroy();
-      for (const end of stop) end();
-      for (const chart of charts) chart.destroy();
-    },
-  };
 }
 
-const originName = (/** @type {string} */ name) => ORIGINS[name] ?? name;
+const originName = (/** @type {string} */ name) => `${name[0].toUpperCase()}${name.slice(1)}`;
 
 function tilesOf(
   /** @type {Api.ReportedStatistics} */ { effort, accepted_untouched, iou_proposal_to_final, labels, progress },
@@ -131,16 +108,10 @@ function tilesOf(
     ["Seconds per box", number(effort.seconds_a_box), change],
     ["Actions per box", number(effort.actions_a_box), "keys, clicks and drags that change something"],
     ["Accepted untouched", percent(accepted_untouched), "of the reviewed proposals"],
-    ["IoU of proposal and final box", number(iou_proposal_to_final, 2), "mean 3D overlap; 1 = same box"],
+    ["Proposals", number(iou_proposal_to_final, 2), "mean 3D overlap (IoU) with the final box; 1 = same"],
     ["Work left", duration(hours_left?.expected), left],
   ].map(([name, value, help]) =>
-    h(
-      "div",
-      { class: "tile" },
-      h("div", { class: "tile-name" }, name),
-      h("div", { class: "tile-value number" }, value),
-      h("div", { class: "muted" }, help),
-    ),
+    h("div.tile", h("div.tile-name", name), h("div.tile-value.number", value), h("div.muted", help)),
   );
 }
 
@@ -160,28 +131,23 @@ function effortTable(/** @type {Api.ReportedStatistics} */ { effort }) {
     number(entry.actions_a_box),
   ]);
   rows.push(["All", number(effort.boxes, 0), number(effort.seconds_a_box), number(effort.actions_a_box)]);
-  return section(
-    "Effort per box",
-    table(["Origin", "Boxes", "Seconds per box", "Actions per box"], rows, "stats-effort"),
-  );
+  return table("Effort per box", "stats-effort", ["Origin", "Boxes", "Seconds per box", "Actions per box"], rows);
 }
 
 function countTable(/** @type {Api.ReportedStatistics} */ { labels }) {
   const classes = labels.by_class_and_state ?? null;
+  const of = (/** @type {Record<string, number>} */ states) => STATES.map((state) => number(states[state] ?? 0, 0));
+  const all = number(labels.total, 0);
   if (!classes) {
-    const rows = [
-      ...STATES.map((state) => [state, number(labels.by_state[state] ?? 0, 0)]),
-      ["All", number(labels.total, 0)],
-    ];
-    return section("Boxes by state", table(["State", "Boxes"], rows, "stats-states"));
+    const counts = of(labels.by_state);
+    const rows = [...STATES.map((state, i) => [state, counts[i]]), ["All", all]];
+    return table("Boxes by state", "stats-states", ["State", "Boxes"], rows);
   }
-  const rows = Object.entries(classes).map(([name, states]) => [
-    name,
-    ...STATES.map((state) => number(states[state] ?? 0, 0)),
-    number(sum(Object.values(states)), 0),
-  ]);
-  rows.push(["All", ...STATES.map((state) => number(labels.by_state[state] ?? 0, 0)), number(labels.total, 0)]);
-  return section("Boxes by class and state", table(["Class", ...STATES, "All"], rows, "stats-states"));
+  const sum = (/** @type {Record<string, number>} */ states) =>
+    Object.values(states).reduce((total, value) => total + value, 0);
+  const rows = Object.entries(classes).map(([name, states]) => [name, ...of(states), number(sum(states), 0)]);
+  rows.push(["All", ...of(labels.by_state), all]);
+  return table("Boxes by class and state", "stats-states", ["Class", ...STATES, "All"], rows);
 }
 
 function valueTable(/** @type {Api.ReportedStatistics} */ { attributes, without_value }) {
@@ -191,7 +157,7 @@ function valueTable(/** @type {Api.ReportedStatistics} */ { attributes, without_
     number(without_value[name] ?? 0, 0),
   ]);
   const heads = ["Attribute", "Values", "Without a value"];
-  return rows.length ? [section("Values of attributes", table(heads, rows, "stats-attributes"))] : [];
+  return rows.length ? [table("Values of attributes", "stats-attributes", heads, rows)] : [];
 }
 
 const shortened = (/** @type {string} */ value) =>
@@ -218,73 +184,43 @@ function projectTable(/** @type {Api.ReportedStatistics} */ known) {
     ["2D boxes on images", known.image_boxes.boxes],
     ["2D boxes on views", known.view_boxes.boxes],
     ["Models", known.models],
-    ...suggestedRows(known),
+    ...Object.entries(known.suggested).flatMap(([detector, { as_suggested, corrected }]) => [
+      /** @type {[string, number]} */ ([`Boxes accepted as suggested by ${detector}`, as_suggested]),
+      /** @type {[string, number]} */ ([`Boxes suggested by ${detector} and corrected`, corrected]),
+    ]),
   ];
   const counted = rows.map(([name, value]) => [name, number(value, 0)]);
-  return section(
-    "The project",
-    table(["", "Number"], [...counted, ["View detector in use", known.view_detector ?? "none"]], "stats-project"),
-  );
+  const detector = ["View detector in use", known.view_detector ?? "none"];
+  return table("The project", "stats-project", ["What", "Number"], [...counted, detector]);
 }
 
-/** @returns {[string, number][]} */
-function suggestedRows(/** @type {Api.ReportedStatistics} */ { suggested }) {
-  return Object.entries(suggested).flatMap(([detector, { as_suggested, corrected }]) => [
-    [`Boxes accepted as suggested by ${detector}`, as_suggested],
-    [`Boxes suggested by ${detector} and corrected`, corrected],
-  ]);
-}
-
-function effortChart(
-  /** @type {Api.ReportedStatistics | null} */ known,
-  /** @type {"seconds_a_box" | "actions_a_box"} */ key,
-  /** @type {string} */ color,
-) {
-  const entries = Object.entries(known?.effort.by_origin ?? {}).filter(([, entry]) => entry.boxes > 0);
-  const names = entries.map(([name]) => originName(name).replace(", ", ",<br>"));
-  return {
-    traces: [{ type: "bar", x: names, y: entries.map(([, entry]) => entry[key]), marker: { color } }],
-    layout: { yaxis: { rangemode: "tozero" }, margin: { l: 34, r: 6, t: 10, b: 40 } },
-  };
-}
-
-function stateChart(/** @type {Api.ReportedStatistics | null} */ known, /** @type {Record<string, string>} */ colors) {
-  const classes = known?.labels.by_class_and_state ?? null;
-  if (classes) {
-    const names = Object.keys(classes);
+/** The effort of a box by the origin of boxes. */
+function effortChart(/** @type {"seconds_a_box" | "actions_a_box"} */ key, /** @type {string} */ color) {
+  return (/** @type {Api.ReportedStatistics} */ { effort }, /** @type {Colors} */ colors) => {
+    const entries = Object.entries(effort.by_origin).filter(([, entry]) => entry.boxes > 0);
+    const names = entries.map(([name]) => originName(name).replace(" ", "<br>"));
+    const y = entries.map(([, entry]) => entry[key]);
     return {
-      traces: STATES.map((state) => ({
-        type: "bar",
-        name: state,
-        x: names,
-        y: names.map((name) => classes[name][state] ?? 0),
-        marker: { color: colors[state] },
-      })),
-      layout: { barmode: "stack", yaxis: { title: { text: "boxes" } } },
+      traces: [{ type: "bar", x: names, y, marker: { color: colors[color] } }],
+      layout: { yaxis: { rangemode: "tozero" }, margin: { l: 34, r: 6, t: 10, b: 40 } },
     };
-  }
-  const states = known?.labels.by_state ?? {};
-  return {
-    traces: [
-      {
-        type: "bar",
-        x: STATES,
-        y: STATES.map((state) => states[state] ?? 0),
-        marker: { color: STATES.map((state) => colors[state]) },
-      },
-    ],
-    layout: { yaxis: { title: { text: "boxes" } } },
   };
 }
 
-const sum = (/** @type {number[]} */ values) => values.reduce((total, value) => total + value, 0);
-
-function nothingYet(/** @type {ModeApp} */ app) {
-  return h(
-    "div",
-    { class: "empty" },
-    h("h2", {}, "No boxes yet"),
-    h("p", {}, "The numbers are shown once objects are labelled or proposed."),
-    h("a", { class: "button", href: makeHash(app.state.route.project, "annotate") }, "Label objects"),
-  );
+function stateChart(/** @type {Api.ReportedStatistics} */ { labels }, /** @type {Colors} */ colors) {
+  const yaxis = { title: { text: "boxes" } };
+  const classes = labels.by_class_and_state ?? null;
+  if (classes) {
+    const x = Object.keys(classes);
+    const traces = STATES.map((state) => {
+      const y = x.map((name) => classes[name][state] ?? 0);
+      return { type: "bar", name: state, x, y, marker: { color: colors[state] } };
+    });
+    return { traces, layout: { barmode: "stack", yaxis } };
+  }
+  const y = STATES.map((state) => labels.by_state[state] ?? 0);
+  return {
+    traces: [{ type: "bar", x: STATES, y, marker: { color: STATES.map((state) => colors[state]) } }],
+    layout: { yaxis },
+  };
 }

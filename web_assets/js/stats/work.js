@@ -1,6 +1,6 @@
 /** The work on a project: who labelled how much, whether it gets faster, and where proposals are good. */
 
-import { createChart, duration, number, percent, plain, section, table } from "../charts.js";
+import { createCharts, duration, number, percent, plain, table } from "../charts.js";
 import { colorIn } from "../colors.js";
 import { count, h } from "../dom.js";
 
@@ -8,47 +8,23 @@ import { count, h } from "../dom.js";
 const MOST_CLASSES = 6;
 
 export function createWork() {
-  /** @type {Api.Progress | null} */
-  let known = null;
-  /** @type {ReturnType<typeof createChart>[]} */
-  const drawn = [];
-  const figure = (
-    /** @type {string} */ title,
-    /** @type {string} */ testid,
-    /** @type {(progress: Api.Progress, colors: Record<string, string>) => Chart} */ make,
-  ) => {
-    const host = h("div", { class: "chart", "data-testid": testid });
-    const chart = createChart(host, (colors) => (known ? make(known, colors) : { traces: [], layout: {} }));
-    drawn.push(chart);
-    return h("figure", {}, h("figcaption", {}, title), host);
-  };
-  const charts = h(
-    "div",
-    { class: "charts three" },
-    figure("Boxes labelled per day", "work-days", dayChart),
-    figure("Seconds per box, as work went on", "work-seconds", (progress, colors) =>
-      paceChart(progress, "seconds_a_box", colors.accent),
-    ),
-    figure("Actions per box, as work went on", "work-actions", (progress, colors) =>
-      paceChart(progress, "actions_a_box", colors.proposed),
-    ),
-    figure("Proposals, as work went on", "work-proposals", trendChart),
-    figure("IoU of proposal and final box, by distance", "work-ranges", rangeChart),
-    figure("What became of proposals, by class", "work-classes", classChart),
-  );
-  const element = h("section", { class: "panel", hidden: true }, h("div", { class: "body" }, charts));
+  const charts = createCharts("div.charts.three", [
+    ["Boxes labelled per day", "work-days", dayChart],
+    ["Seconds per box, as work went on", "work-seconds", paceChart("seconds_a_box", "accent")],
+    ["Actions per box, as work went on", "work-actions", paceChart("actions_a_box", "proposed")],
+    ["Proposals, as work went on", "work-proposals", trendChart],
+    ["IoU of proposal and final box, by distance", "work-ranges", rangeChart],
+    ["What became of proposals, by class", "work-classes", classChart],
+  ]);
+  const element = h("section.panel", { hidden: true }, h("div.body", charts.root));
 
   return {
     element,
     show(/** @type {Api.Progress} */ progress) {
-      known = progress;
       element.hidden = progress.days.length === 0;
-      if (element.hidden) return;
-      for (const chart of drawn) void chart.draw();
+      if (!element.hidden) void charts.draw(progress);
     },
-    destroy() {
-      for (const chart of drawn) chart.destroy();
-    },
+    destroy: charts.destroy,
   };
 }
 
@@ -87,22 +63,19 @@ function everyDay(/** @type {Api.Progress} */ { days }) {
 
 const forBoxes = { yaxis: { rangemode: "tozero" }, showlegend: true };
 
-function paceChart(
-  /** @type {Api.Progress} */ { pace },
-  /** @type {"seconds_a_box" | "actions_a_box"} */ key,
-  /** @type {string} */ color,
-) {
-  return {
-    traces: [line(pace.groups, (group) => group[key], "", color, ".1f")],
+function paceChart(/** @type {"seconds_a_box" | "actions_a_box"} */ key, /** @type {string} */ color) {
+  return (/** @type {Api.Progress} */ { pace }, /** @type {Colors} */ colors) => ({
+    traces: [line(pace.groups, (group) => group[key], "", colors[color], ".1f")],
     layout: { yaxis: { rangemode: "tozero" }, ...OVER_BOXES },
-  };
+  });
 }
+
 const OVER_BOXES = {
   xaxis: { title: { text: "boxes labelled", font: { size: 12 } }, rangemode: "tozero" },
   margin: { l: 34, r: 6, t: 24, b: 40 },
 };
 
-function trendChart(/** @type {Api.Progress} */ { pace }, /** @type {Record<string, string>} */ colors) {
+function trendChart(/** @type {Api.Progress} */ { pace }, /** @type {Colors} */ colors) {
   return {
     traces: [
       line(pace.groups, (group) => group.iou_proposal_to_final, "IoU with the final box", colors.accent, ".2f"),
@@ -164,7 +137,7 @@ function rangeChart(/** @type {Api.Progress} */ { proposals }) {
   };
 }
 
-function classChart(/** @type {Api.Progress} */ { proposals }, /** @type {Record<string, string>} */ colors) {
+function classChart(/** @type {Api.Progress} */ { proposals }, /** @type {Colors} */ colors) {
   const names = Object.keys(proposals.by_class);
   /** @type {["untouched" | "corrected" | "rejected" | "missed", string][]} */
   const parts = [
@@ -192,7 +165,7 @@ export function peopleTable(/** @type {Api.Progress} */ progress) {
   ]);
   if (rows.length > 1) rows.push(["All", ...workCells(progress.days)]);
   const heads = ["Person", "Days", "Boxes", "Rejected", "Time at work", "Boxes per hour", "Actions"];
-  return section("People", table(heads, rows, "stats-people"));
+  return table("People", "stats-people", heads, rows);
 }
 
 function workCells(/** @type {Api.WorkOfDay[]} */ entries) {
@@ -221,7 +194,7 @@ export function dayTable(/** @type {Api.Progress} */ progress) {
     const each = people.map((person) => entries.filter((entry) => entry.person === person));
     return [dayName(day), ...[...each, entries].map(boxesAndTime)];
   });
-  return section("Boxes and time per day", table(["Day", ...people, "All"], rows, "stats-days"));
+  return table("Boxes and time per day", "stats-days", ["Day", ...people, "All"], rows);
 }
 
 const boxesAndTime = (/** @type {Api.WorkOfDay[]} */ entries) =>
@@ -235,7 +208,7 @@ export function qualityTable(/** @type {Api.Progress} */ { proposals }) {
     return [name, number(quality.iou_proposal_to_final, 2), percent(Number.isNaN(share) ? null : share), ...counts];
   });
   const heads = ["Class", "IoU", "Accepted untouched", "Untouched", "Corrected", "Rejected", "Missed"];
-  return section("Proposals and what became of them", table(heads, rows, "stats-quality"));
+  return table("Proposals and what became of them", "stats-quality", heads, rows);
 }
 
 export function rangeTable(/** @type {Api.Progress} */ { proposals }) {
@@ -245,5 +218,5 @@ export function rangeTable(/** @type {Api.Progress} */ { proposals }) {
   const rows = Object.entries(proposals.by_class_and_range).map(([name, entries]) => [name, ...cells(entries)]);
   if (rows.length > 1) rows.push(["All", ...cells(ranges)]);
   const heads = ["Class", ...ranges.map(rangeName)];
-  return section("IoU of proposal and final box, by distance", table(heads, rows, "stats-ranges"));
+  return table("IoU of proposal and final box, by distance", "stats-ranges", heads, rows);
 }

@@ -21,7 +21,6 @@ export function readTimeline(/** @type {App} */ app) {
     const own = readings;
     const begun = performance.now();
     try {
-      /** @type {Api.LanesJson} */
       const found = await app.api.get(app.path("recordings", recording, "tracks"));
       if (own !== readings) return;
       const pictures = app.path("frames");

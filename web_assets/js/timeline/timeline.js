@@ -4,7 +4,7 @@
  * tells in `state.span` which part of a track is selected. Lanes that are out of sight are not drawn.
  */
 
-import { classColor } from "../colors.js";
+import { classColor, onTheme } from "../colors.js";
 import { h, iconButton, patch } from "../dom.js";
 import { makeHash } from "../router.js";
 import {
@@ -269,7 +269,7 @@ export function mountTimeline(/** @type {HTMLElement} */ root, /** @type {App} *
     lanes.slice(from, Math.ceil((top + height) / ROW)).forEach((lane, i) => {
       drawLane(context, lane, (from + i) * ROW - top, { text, line, accent, muted });
     });
-    if (now < 0) return;
+    if (now < 0 || !lanes.length) return;
     context.fillStyle = accent;
     context.fillRect(Math.round(xOf(now + 0.5)), 0, 1, height);
   }
@@ -356,7 +356,7 @@ export function mountTimeline(/** @type {HTMLElement} */ root, /** @type {App} *
   });
   app.keys.register({ timeline: () => setFolded(!isFolded) });
   new ResizeObserver(drawSoon).observe(root);
-  new MutationObserver(drawSoon).observe(document.documentElement, { attributeFilter: ["data-theme"] });
+  onTheme(drawSoon);
   show();
 }
 

@@ -1,7 +1,6 @@
 /** Training curves by epoch and detector: quality (0 to 1) and losses. */
 
-import { createChart } from "../charts.js";
-import { h } from "../dom.js";
+import { createCharts } from "../charts.js";
 
 // precision and recall are in the table of models: four more lines would hide these
 const QUALITY = /^map50(_95)?$/;
@@ -15,48 +14,36 @@ const NAMES = {
   dfl_loss: "edge loss",
 };
 
-export function createCurves(/** @type {HTMLElement} */ host) {
-  const quality = h("div", { class: "chart", "data-testid": "curves-quality" });
-  const losses = h("div", { class: "chart", "data-testid": "curves-losses" });
-  const box = h(
-    "div",
-    { class: "charts", hidden: true },
-    h("figure", {}, h("figcaption", {}, "Quality on validation pictures"), quality),
-    h("figure", {}, h("figcaption", {}, "Training losses"), losses),
-  );
-  host.append(box);
-  /** @type {Api.CurvePoint[]} */
-  let points = [];
-  const charts = [
-    createChart(quality, (colors) => ({
-      traces: traces(points, colors, (name) => QUALITY.test(name)),
-      layout: { yaxis: { range: [0, 1.02] }, xaxis: { title: { text: "epoch" }, rangemode: "tozero" } },
-    })),
-    createChart(losses, (colors) => ({
-      traces: traces(points, colors, (name) => LOSS.test(name)),
-      layout: { yaxis: { rangemode: "tozero" }, xaxis: { title: { text: "epoch" }, rangemode: "tozero" } },
-    })),
-  ];
+export function createCurves() {
+  const chart =
+    (/** @type {RegExp} */ names, /** @type {object} */ yaxis) =>
+    (/** @type {Api.CurvePoint[]} */ points, /** @type {Colors} */ colors) => ({
+      traces: traces(points, colors, (name) => names.test(name)),
+      layout: { yaxis, xaxis: { title: { text: "epoch" }, rangemode: "tozero" } },
+    });
+  const { root, draw, destroy } = createCharts("div.charts", [
+    ["Quality on validation pictures", "curves-quality", chart(QUALITY, { range: [0, 1.02] })],
+    ["Training losses", "curves-losses", chart(LOSS, { rangemode: "tozero" })],
+  ]);
+  root.hidden = true;
   let drawn = "";
 
   return {
-    show(/** @type {Api.CurvePoint[]} */ fresh) {
-      points = fresh;
-      box.hidden = points.length === 0;
+    root,
+    destroy,
+    show(/** @type {Api.CurvePoint[]} */ points) {
+      root.hidden = points.length === 0;
       const key = JSON.stringify(points);
       if (key === drawn || points.length === 0) return;
       drawn = key;
-      for (const chart of charts) void chart.draw();
-    },
-    destroy() {
-      for (const chart of charts) chart.destroy();
+      void draw(points);
     },
   };
 }
 
 function traces(
   /** @type {Api.CurvePoint[]} */ points,
-  /** @type {Record<string, string>} */ colors,
+  /** @type {Colors} */ colors,
   /** @type {(name: string) => boolean} */ wanted,
 ) {
   /** @type {Map<string, { role: Api.DetectorKind, name: string, x: number[], y: number[] }>} */

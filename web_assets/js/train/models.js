@@ -1,7 +1,7 @@
 /** The trained models: training data, quality, which one is in use, and validation pictures. */
 
 import { confirm, openDialog } from "../dialogs.js";
-import { button, count, h, patch } from "../dom.js";
+import { button, count, dateOf, h, patch } from "../dom.js";
 
 const ROLES = { image: "Image", view: "View" };
 const HELD_OUT_HELP =
@@ -19,21 +19,17 @@ export function createModelList(
   /** @type {App} */ app,
   /** @type {() => Promise<void>} */ reload,
 ) {
-  const pictures = h("div", { class: "thumbs", "data-testid": "validation-pictures" });
-  const table = h("div", { class: "scroll-x" });
-  const body = h("div", { class: "body stack" }, pictures, table);
-  host.append(h("header", {}, h("h2", {}, "Models")), body);
+  const pictures = h("div.thumbs", { "data-testid": "validation-pictures" });
+  const table = h("div.scroll-x");
+  const body = h("div.body.stack", pictures, table);
+  host.append(h("header", h("h2", "Models")), body);
   /** @type {number | null} */
   let shown = null;
 
   async function activate(/** @type {string | number} */ id, /** @type {string} */ name) {
-    try {
-      await app.api.post(app.path("models", id, "activate"));
-      app.toast(`${name} is in use now.`, "good");
-      await reload();
-    } catch (error) {
-      app.toast(error);
-    }
+    await app.api.post(app.path("models", id, "activate"));
+    app.toast(`${name} is in use now.`, "good");
+    await reload();
   }
 
   /** Uses a detector; asks first if held-out frames have shown that it is worse than others, or finds nothing. */
@@ -49,59 +45,42 @@ export function createModelList(
     await activate(id, `Model ${id}`);
   }
 
+  /** Says that a detector is in use, or lets it be used. */
+  const useCell = (/** @type {boolean} */ isUsed, /** @type {string} */ testid, /** @type {() => unknown} */ act) =>
+    h("td", isUsed ? h("span.chip.state-accepted", "in use") : button("Use this one", act, { "data-testid": testid }));
+
   function baseRow(/** @type {"in use" | "available"} */ state) {
     const isUsed = state === "in use";
+    const text = "Base detector: trained on generated scenes, not on this project's classes";
     return h(
       "tr",
       { "data-testid": "base-row", "data-active": String(isUsed), class: isUsed ? "active" : "" },
-      h("td", {}, ROLES.view),
-      h(
-        "td",
-        { colspan: COLUMNS.length + 4, class: "muted" },
-        "Base detector: trained on generated scenes, not on this project's classes",
-      ),
-      h(
-        "td",
-        {},
-        isUsed
-          ? h("span", { class: "chip state-accepted" }, "in use")
-          : button("Use this one", () => activate("base", "The base detector"), { "data-testid": "use-base" }),
-      ),
-      h("td", {}),
+      h("td", ROLES.view),
+      h("td.muted", { colspan: COLUMNS.length + 4 }, text),
+      useCell(isUsed, "use-base", () => activate("base", "The base detector")),
+      h("td"),
     );
   }
 
   function row(/** @type {Api.ModelDetails} */ model) {
-    const made = new Date(model.created_ns / 1e6);
+    const { id, role, active, boxes, metrics, box_kind } = model;
     return h(
       "tr",
       {
         "data-testid": "model-row",
-        "data-id": model.id,
-        "data-key": model.id,
-        "data-active": String(model.active),
-        class: model.active ? "active" : "",
+        "data-id": id,
+        "data-key": id,
+        "data-active": String(active),
+        class: active ? "active" : "",
       },
-      h("td", {}, ROLES[model.role] ?? model.role),
-      h("td", { class: "number" }, made.toLocaleString([], { dateStyle: "medium", timeStyle: "short" })),
-      h("td", { class: "number" }, model.boxes === null ? "–" : count(model.boxes, "box", "boxes")),
-      COLUMNS.map(([name]) =>
-        h(
-          "td",
-          { class: "number" },
-          model.metrics[name] === undefined || model.metrics[name] === null ? "–" : model.metrics[name].toFixed(3),
-        ),
-      ),
-      h("td", { class: "number", title: comparison(model), "data-testid": "held-out" }, heldOut(model)),
-      h("td", {}, model.box_kind === "box" ? "the whole object" : "the visible part"),
-      h(
-        "td",
-        {},
-        model.active
-          ? h("span", { class: "chip state-accepted" }, "in use")
-          : button("Use this one", () => use(model), { "data-testid": "use-model" }),
-      ),
-      h("td", {}, model.pictures.length ? button("Pictures", () => choose(model), { class: "quiet" }) : null),
+      h("td", ROLES[role] ?? role),
+      h("td.number", dateOf(model.created_ns / 1e6)),
+      h("td.number", boxes === null ? "–" : count(boxes, "box", "boxes")),
+      COLUMNS.map(([name]) => h("td.number", metrics[name]?.toFixed(3) ?? "–")),
+      h("td.number", { title: comparison(model), "data-testid": "held-out" }, heldOut(model)),
+      h("td", box_kind === "box" ? "the whole object" : "the visible part"),
+      useCell(active, "use-model", () => use(model)),
+      h("td", model.pictures.length ? button("Pictures", () => choose(model), { class: "quiet" }) : null),
     );
   }
 
@@ -111,66 +90,42 @@ export function createModelList(
   }
 
   function showPictures(/** @type {Api.ModelDetails | undefined} */ model) {
-    const isHidden = !model || model.pictures.length === 0;
-    pictures.hidden = isHidden;
-    if (isHidden) return;
-    patch(
-      pictures,
-      h(
-        "p",
-        { class: "muted" },
-        `What the ${model.role} detector was not trained on: white boxes are the given ones, coloured ones what it finds.`,
-      ),
-      h(
-        "div",
-        { class: "row thumbs-row" },
-        model.pictures.map((url, i) =>
-          button(h("img", { src: url, alt: "", loading: "lazy" }), () => enlarge(url, i), {
-            class: "thumb",
-            title: "Enlarge",
-            "aria-label": `Validation picture ${i + 1}`,
-          }),
-        ),
-      ),
-    );
+    pictures.hidden = !model?.pictures.length;
+    if (!model) return;
+    const words = "was not trained on: white boxes are the given ones, coloured ones what it finds.";
+    const small = model.pictures.map((url, i) => {
+      const label = `Validation picture ${i + 1}`;
+      const more = { class: "thumb", title: "Enlarge", "aria-label": label };
+      return button(h("img", { src: url, alt: "", loading: "lazy" }), () => enlarge(url, label), more);
+    });
+    patch(pictures, h("p.muted", `What the ${model.role} detector ${words}`), h("div.row.thumbs-row", small));
   }
 
   return {
     show(/** @type {Api.ModelList} */ { models, base }) {
       if (models.length === 0 && !base) {
         pictures.hidden = true;
-        patch(table, h("p", { class: "muted" }, "No model has been trained yet."));
+        patch(table, h("p.muted", "No model has been trained yet."));
         return;
       }
       const newest = models.toSorted((a, b) => b.created_ns - a.created_ns);
+      const titles = COLUMNS.map(([, text]) => text);
       const heads = [
         "Detector",
         "Trained",
         "Trained on",
-        ...COLUMNS.map(([, text]) => text),
+        ...titles,
         "Held-out IoU",
         "Boxes enclose",
-        "",
-        "",
+        "Use",
+        "Examples",
       ];
+      const head = heads.map((text) =>
+        h("th", { scope: "col", title: text === "Held-out IoU" ? HELD_OUT_HELP : null }, text),
+      );
       patch(
         table,
-        h(
-          "table",
-          { class: "dense models" },
-          h(
-            "thead",
-            {},
-            h(
-              "tr",
-              {},
-              heads.map((text) =>
-                h("th", { scope: "col", title: text === "Held-out IoU" ? HELD_OUT_HELP : null }, text),
-              ),
-            ),
-          ),
-          h("tbody", {}, newest.map(row), base ? baseRow(base) : null),
-        ),
+        h("table.dense.models", h("thead", h("tr", head)), h("tbody", newest.map(row), base ? baseRow(base) : null)),
         ...Object.keys(ROLES).map((each) =>
           decisionLine(newest.find(({ role, decision }) => role === each && decision)),
         ),
@@ -192,11 +147,7 @@ function decisionLine(/** @type {Api.ModelDetails | undefined} */ model) {
   const figures = decision.compared.map(({ name, mean_iou }) => `${name} ${mean_iou.toFixed(2)}`);
   if (decision.mean_iou !== null) figures.unshift(`newest detector ${decision.mean_iou.toFixed(2)}`);
   const measured = figures.length ? ` Mean IoU on held-out frames: ${figures.join(", ")}.` : "";
-  return h(
-    "p",
-    { class: "muted", "data-testid": "decision" },
-    `Latest ${model.role} detector: ${decision.outcome}.${measured}`,
-  );
+  return h("p.muted", { "data-testid": "decision" }, `Latest ${model.role} detector: ${decision.outcome}.${measured}`);
 }
 
 /** What a model was compared with, and the outcome. */
@@ -206,10 +157,10 @@ function comparison(/** @type {Api.ModelDetails} */ { decision }) {
   return [decision.started_from, ...others, decision.outcome].join("\n");
 }
 
-function enlarge(/** @type {string} */ url, /** @type {number} */ i) {
+function enlarge(/** @type {string} */ url, /** @type {string} */ label) {
   return openDialog({
-    title: `Validation picture ${i + 1}`,
-    content: [h("img", { src: url, alt: `Validation picture ${i + 1} with predicted boxes`, class: "enlarged" })],
+    title: label,
+    content: [h("img.enlarged", { src: url, alt: `${label} with predicted boxes` })],
     actions: [{ label: "Close", value: "close" }],
     wide: true,
   });

@@ -1,102 +1,71 @@
 /** Proposes boxes on the chosen recordings, or from 2D boxes on the images, then links to their review. */
 
-import { button, count, h, remembered } from "../dom.js";
-import { messageOf } from "../errors.js";
-import { createJobLine, isActive, latestJob, startJob } from "../jobs.js";
+import { button, count, h } from "../dom.js";
+import { checkbox, numberField, numberOf, remembered, ticked } from "../forms.js";
+import { createJobForm, createJobLine, isActive, latestJob, startJob, takeJob } from "../jobs.js";
 import { makeHash } from "../router.js";
-import { importBoxes } from "../start/boxes_file.js";
+import { importBoxes, measuredBy } from "../start/boxes_file.js";
 
 export function createPropose(/** @type {HTMLElement} */ host, /** @type {ModeApp} */ app) {
   const line = createJobLine(app, "propose");
   const liftLine = createJobLine(app, "lift");
   const boxesLine = createJobLine(app, "boxes");
-  const importButton = button("Import boxes …", () => void addBoxes(), { "data-testid": "import-boxes" });
-  const choices = h("div", { class: "choices-list", role: "group", "aria-label": "Recordings" });
+  const importButton = button("Import boxes …", addBoxes, { "data-testid": "import-boxes" });
+  const choices = h("div.choices-list", { role: "group", "aria-label": "Recordings" });
   const limit = remembered(
-    `propose ${app.state.route.project} limit`,
-    h("input", {
-      type: "number",
-      min: 1,
-      step: 1,
-      placeholder: "all",
-      "aria-label": "Maximum number of frames",
-      "data-testid": "propose-limit",
-    }),
+    app,
+    "propose",
+    "limit",
+    numberField("propose-limit", "Maximum number of frames", { min: 1, step: 1, placeholder: "all" }),
   );
-  const start = h("button", { type: "submit", class: "primary", "data-testid": "propose-start" }, "Propose");
-  const note = h("p", { class: "help" });
-  const problem = h("p", { class: "error-box", role: "alert", hidden: true });
-  const review = h("a", { class: "button primary-link", "data-testid": "review-proposals" });
-  const form = h(
-    "form",
-    { class: "stack", "data-testid": "propose-form" },
-    choices,
-    h(
-      "div",
-      { class: "row" },
-      h("label", { class: "row" }, "At most", limit, "frames"),
-      note,
-      h("span", { class: "grow" }),
-      start,
-    ),
-    problem,
-  );
-  const liftText = h("span", { class: "grow" });
-  const liftStart = button("Propose 3D boxes from these", () => void startLift(), {
+  const note = h("p.help");
+  const review = h("a.button.primary-link", { "data-testid": "review-proposals" });
+  /** By the id of the recording. @type {Map<number, HTMLInputElement>} */
+  const boxes = new Map();
+  const { form, start } = createJobForm(app, {
+    name: "propose",
+    label: "Propose",
+    content: (start) => [
+      choices,
+      h("div.row", h("label.row", "At most", limit, "frames"), note, h("span.grow"), start),
+    ],
+    request() {
+      const chosen = ticked([...boxes.values()]).map(Number);
+      if (chosen.length === 0) throw new Error("Choose at least one recording.");
+      const recordings = chosen.length === boxes.size ? null : chosen;
+      return { kind: "propose", recordings, limit: numberOf(limit) };
+    },
+    show,
+  });
+  const liftText = h("span.grow");
+  const liftStart = button("Propose 3D boxes from these", startLift, {
     class: "primary",
     "data-testid": "lift-start",
   });
-  const lift = h("div", { class: "row", hidden: true, "data-testid": "lift" }, liftText, liftStart);
+  const lift = h("div.row", { hidden: true, "data-testid": "lift" }, liftText, liftStart);
   host.append(
-    h("header", {}, h("h2", {}, "Propose boxes"), h("span", { class: "grow" }), importButton, review),
-    h("div", { class: "body stack" }, boxesLine.root, lift, liftLine.root, form, line.root),
+    h("header", h("h2", "Propose boxes"), h("span.grow"), importButton, review),
+    h("div.body.stack", boxesLine, lift, liftLine, form, line),
   );
   let toLift = 0;
-  const boxes = new Map();
-
-  form.addEventListener("submit", async (event) => {
-    event.preventDefault();
-    problem.hidden = true;
-    start.disabled = true;
-    try {
-      const chosen = [...boxes].filter(([, box]) => box.checked).map(([id]) => id);
-      if (chosen.length === 0) throw new Error("Choose at least one recording.");
-      const recordings = chosen.length === boxes.size ? null : chosen;
-      await startJob(app, { kind: "propose", recordings, limit: limit.value === "" ? null : limit.valueAsNumber });
-    } catch (error) {
-      problem.textContent = messageOf(error);
-      problem.hidden = false;
-    } finally {
-      show();
-    }
-  });
 
   async function startLift() {
     liftStart.disabled = true;
     try {
       await startJob(app, { kind: "lift" });
-    } catch (error) {
-      app.toast(error);
     } finally {
       show();
     }
   }
 
   async function addBoxes() {
-    try {
-      if (await importBoxes(app, app.state.route.project)) show();
-    } catch (error) {
-      app.toast(error);
-    }
+    const job = await importBoxes(app, app.state.route.project);
+    if (job) takeJob(app, job);
   }
 
-  function showLift(/** @type {Api.ProjectInfo} */ { detectors }) {
-    liftLine.show();
-    boxesLine.show();
-    const running = latestJob(app, "lift");
-    const isRunning = Boolean(running && isActive(running));
-    const view = detectors.view ? "this project's view detector" : detectors.stand_in;
-    lift.hidden = toLift === 0 || isRunning;
+  function showLift(/** @type {Api.ProjectInfo} */ project) {
+    const view = measuredBy(project);
+    lift.hidden = toLift === 0 || isActive(latestJob(app, "lift"));
     liftStart.disabled = !view;
     const have = toLift === 1 ? "has" : "have";
     const how = view ? `Measured by: ${view}.` : "This needs a view detector: train one first.";
@@ -108,24 +77,14 @@ export function createPropose(/** @type {HTMLElement} */ host, /** @type {ModeAp
     if (!project) return;
     for (const { id, name, frames } of project.recordings) {
       if (boxes.has(id)) continue;
-      const box = h("input", { type: "checkbox", checked: true });
+      const box = checkbox(null, true, { value: id });
       boxes.set(id, box);
-      choices.append(
-        h(
-          "label",
-          { class: "row" },
-          box,
-          h("span", { class: "ellipsis" }, name),
-          h("span", { class: "muted number" }, count(frames, "frame")),
-        ),
-      );
+      choices.append(h("label.row", box, h("span.ellipsis", name), h("span.muted.number", count(frames, "frame"))));
     }
-    line.show();
     showLift(project);
-    const job = latestJob(app, "propose");
-    const { image, view, stand_in } = project.detectors;
-    const ready = image !== null && (view !== null || stand_in !== null);
-    start.disabled = !ready || project.recordings.length === 0 || Boolean(job && isActive(job));
+    const { image, stand_in } = project.detectors;
+    const ready = image !== null && measuredBy(project) !== null;
+    start.disabled = !ready || project.recordings.length === 0 || isActive(latestJob(app, "propose"));
     const kept = "Reviewed boxes and finalised frames are not changed.";
     const missing = `Train ${stand_in ? "an image detector" : "both detectors"} first, or choose one that was trained.`;
     note.textContent = [ready ? kept : missing, stand_in ? `View detector: ${stand_in}.` : ""].join(" ").trim();

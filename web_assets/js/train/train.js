@@ -1,8 +1,9 @@
 /** Train and propose: the training data, the running training, the models, and proposals. */
 
-import { count, h, patch, remembered } from "../dom.js";
-import { messageOf } from "../errors.js";
-import { createJobLine, isActive, latestJob, startJob } from "../jobs.js";
+import { count, h, nothing, patch } from "../dom.js";
+import { checkbox, field, numberField, numberOf, remembered, select } from "../forms.js";
+import { createJobForm, createJobLine, isActive, latestJob } from "../jobs.js";
+import { makeHash } from "../router.js";
 import { createCurves } from "./curves.js";
 import { createModelList } from "./models.js";
 import { createPropose } from "./propose.js";
@@ -16,32 +17,34 @@ const ROLES = [
   ["image", "Image detector", "finds objects on the camera image"],
   ["view", "View detector", "finds their edges on pseudo-views"],
 ];
+const NETWORKS = [
+  ["", "yolo11n: small and fast (default)"],
+  ["yolo11s", "yolo11s: larger, slower"],
+  ["yolo11m", "yolo11m: for a GPU"],
+];
 
-export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
-  const material = h("div", { class: "cards" });
+/** @type {Mode["mount"]} */
+export function mount(root, app, until) {
+  const material = h("div.cards");
   const line = createJobLine(app, "train");
-  const curvesHost = h("div", {});
-  const curves = createCurves(curvesHost);
-  const modelsHost = h("section", { class: "panel" });
-  const proposeHost = h("section", { class: "panel" });
+  const curves = createCurves();
+  const modelsHost = h("section.panel");
+  const proposeHost = h("section.panel");
   const models = createModelList(modelsHost, app, load);
   const propose = createPropose(proposeHost, app);
-  const { form, start } = createForm(app);
+  const { form, start } = createForm(app, show);
   const learning = createLearning(app);
   /** @type {Api.ModelList | null} */
   let known = null;
-  let ended = false;
 
   root.append(
     h(
-      "div",
-      { class: "page wide train-page" },
-      h("h1", {}, "Train and propose"),
+      "div.page.wide.train-page",
+      h("h1", "Train and propose"),
       h(
-        "section",
-        { class: "panel" },
-        h("header", {}, h("h2", {}, "Train the detectors")),
-        h("div", { class: "body stack" }, material, form, learning.root, line.root, curvesHost),
+        "section.panel",
+        h("header", h("h2", "Train the detectors")),
+        h("div.body.stack", material, form, learning.root, line, h("div", curves.root)),
       ),
       proposeHost,
       modelsHost,
@@ -49,90 +52,61 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   );
 
   async function load() {
-    try {
-      const { changes } = learning;
-      /** @type {Api.ModelList} */
-      const answer = await app.api.get(app.path("models"));
-      if (ended) return;
-      known = answer;
-      // an answer from before a change is out of date
-      if (changes === learning.changes) learning.show(answer);
-      show();
-    } catch (error) {
-      app.toast(error);
-    }
+    const { changes } = learning;
+    const answer = await app.api.get(app.path("models"));
+    if (until.aborted) return;
+    known = answer;
+    // an answer from before a change is out of date
+    if (changes === learning.changes) learning.show(answer);
+    show();
   }
 
   function show() {
     const job = latestJob(app, "train");
-    line.show();
     curves.show(curvesOf(job, known));
     propose.show();
     // a round in the background stops for this one
-    start.disabled = Boolean(job && isActive(job) && !job.background);
+    start.disabled = isActive(job) && !job?.background;
     if (!known) return;
-    const list = known;
     models.show(known);
     propose.setToLift(known.material.to_lift);
-    const nothing = Object.values(known.material).every((number) => number === 0);
-    form.hidden = nothing;
-    patch(
-      material,
-      ROLES.map((role) => materialCard(role, list)),
-      nothing && nothingYet(app),
-    );
+    const hasNone = Object.values(known.material).every((number) => number === 0);
+    form.hidden = hasNone;
+    const cards = ROLES.map((role) => materialCard(role, /** @type {Api.ModelList} */ (known)));
+    const text = "There are no boxes to train on yet. Draw a few objects, and accept their boxes, first.";
+    patch(material, cards, hasNone && nothing("", text, makeHash(app.state.route.project, "annotate"), "Annotate"));
   }
 
   const states = () => app.state.jobs.map(({ id, state }) => `${id}${state}`).join();
   let last = states();
-  const stop = [
-    app.state.on("jobs", () => {
-      show();
-      // new models and proposals change other parts of the page
-      const now = states();
-      if (now !== last) {
-        void load();
-        app.refreshProject().then(() => !ended && show(), app.toast);
-      }
-      last = now;
-    }),
-    app.state.on("project", () => propose.show()),
-  ];
+  function showJobs() {
+    show();
+    // new models and proposals change other parts of the page
+    const now = states();
+    if (now !== last) {
+      void load();
+      void app.refreshProject().then(() => !until.aborted && show());
+    }
+    last = now;
+  }
+
+  app.state.on("jobs", showJobs, until);
+  app.state.on("project", () => propose.show(), until);
+  until.addEventListener("abort", curves.destroy);
   show();
   void load();
-  app.refreshProject().catch(app.toast);
-  return {
-    unmount() {
-      ended = true;
-      for (const end of stop) end();
-      curves.destroy();
-    },
-  };
+  void app.refreshProject();
 }
 
 /** A field for minutes, everywhere with the same limits. */
 const minutesField = (/** @type {string} */ label, /** @type {string} */ testid) =>
-  h("input", {
-    type: "number",
-    min: 0.5,
-    max: 1440,
-    step: 0.5,
-    value: MINUTES,
-    "aria-label": label,
-    "data-testid": testid,
-  });
+  numberField(testid, label, { min: 0.5, max: 1440, step: 0.5, value: MINUTES });
 
 /** The switch "Learn while I label". */
 function createLearning(/** @type {ModeApp} */ app) {
-  const box = h("input", { type: "checkbox", "data-testid": "learn-switch" });
-  const every = h("input", {
-    type: "number",
-    min: 1,
-    max: 1000000,
-    value: LEARN_EVERY,
-    "aria-label": "Reviewed boxes between two rounds",
-    "data-testid": "learn-every",
-  });
+  const box = checkbox("learn-switch");
+  const limits = { min: 1, max: 1000000, value: LEARN_EVERY };
+  const every = numberField("learn-every", "Reviewed boxes between two rounds", limits);
   const minutes = minutesField("Minutes of a round", "learn-minutes");
   let stored = "";
   let changes = 0;
@@ -141,12 +115,8 @@ function createLearning(/** @type {ModeApp} */ app) {
     changes += 1;
     const everyNow = box.checked ? every.valueAsNumber || LEARN_EVERY : null;
     const minutesNow = minutes.valueAsNumber || MINUTES;
-    try {
-      await app.api.put(app.path("models", "learning"), { every: everyNow, minutes: minutesNow });
-      show({ learn_every: everyNow, learn_minutes: minutesNow });
-    } catch (error) {
-      app.toast(error);
-    }
+    await app.api.put(app.path("models", "learning"), { every: everyNow, minutes: minutesNow });
+    show({ learn_every: everyNow, learn_minutes: minutesNow });
   }
 
   function show(/** @type {Pick<Api.ModelList, "learn_every" | "learn_minutes">} */ { learn_every, learn_minutes }) {
@@ -161,18 +131,16 @@ function createLearning(/** @type {ModeApp} */ app) {
   for (const field of [box, every, minutes])
     field.addEventListener("change", () => (box.checked || field === box) && store());
   const root = h(
-    "div",
-    { class: "stack", "data-testid": "learning" },
+    "div.stack",
+    { "data-testid": "learning" },
     h(
-      "div",
-      { class: "row" },
-      h("label", { class: "row" }, box, "Learn while I label"),
-      h("label", { class: "row" }, "after every", every, "reviewed boxes,"),
-      h("label", { class: "row" }, "for", minutes, "minutes"),
+      "div.row",
+      h("label.row", box, "Learn while I label"),
+      h("label.row", "after every", every, "reviewed boxes,"),
+      h("label.row", "for", minutes, "minutes"),
     ),
     h(
-      "p",
-      { class: "help" },
+      "p.help",
       "Trains the view detector in the background, while a page has this project open. It waits while you draw and ",
       "stops for other jobs. A detector that is better on held-out frames is used at once.",
     ),
@@ -187,104 +155,64 @@ function createLearning(/** @type {ModeApp} */ app) {
   };
 }
 
-function createForm(/** @type {ModeApp} */ app) {
-  /** @template {HTMLInputElement | HTMLSelectElement} T */
-  const kept = (/** @type {string} */ key, /** @type {T} */ field) =>
-    remembered(`train ${app.state.route.project} ${key}`, field);
+function createForm(/** @type {ModeApp} */ app, /** @type {() => unknown} */ show) {
   const roles = ROLES.map(([role]) =>
-    kept(role, h("input", { type: "checkbox", name: role, checked: true, "data-testid": `train-role-${role}` })),
+    remembered(app, "train", role, checkbox(`train-role-${role}`, true, { name: role })),
   );
-  const sizes = ROLES.map(([role, label]) =>
-    kept(
-      `size ${role}`,
-      h("input", {
-        type: "number",
-        min: 32,
-        max: 2048,
-        step: 32,
-        placeholder: String(SIZES_PX[role]),
-        "aria-label": `Size of the pictures for the ${label.toLowerCase()}`,
-        "data-testid": `train-size-${role}`,
-      }),
-    ),
-  );
-  const minutes = kept("minutes", minutesField("Minutes of the training", "train-minutes"));
-  const model = kept(
-    "model",
-    h(
-      "select",
-      { "data-testid": "train-model" },
-      [
-        ["", "yolo11n: small and fast (default)"],
-        ["yolo11s", "yolo11s: larger, slower"],
-        ["yolo11m", "yolo11m: for a GPU"],
-      ].map(([value, text]) => h("option", { value }, text)),
-    ),
-  );
-  const start = h("button", { type: "submit", class: "primary", "data-testid": "train-start" }, "Train");
-  const problem = h("p", { class: "error-box", role: "alert", hidden: true });
-  const more = h(
-    "details",
-    {},
-    h("summary", {}, "Settings"),
-    h(
-      "div",
-      { class: "settings" },
-      ROLES.map(([, label], i) =>
-        h("label", { class: "field" }, h("span", {}, `${label}: longer side, px`), sizes[i]),
-      ),
-      h("label", { class: "field" }, h("span", {}, "Network"), model),
+  const sizes = ROLES.map(([role, label]) => {
+    const text = `Size of the pictures for the ${label.toLowerCase()}`;
+    const limits = { min: 32, max: 2048, step: 32, placeholder: String(SIZES_PX[role]) };
+    return remembered(app, "train", `size ${role}`, numberField(`train-size-${role}`, text, limits));
+  });
+  const minutes = remembered(app, "train", "minutes", minutesField("Minutes of the training", "train-minutes"));
+  const model = remembered(app, "train", "model", select(NETWORKS, { "data-testid": "train-model" }));
+  const { form, start } = createJobForm(app, {
+    name: "train",
+    label: "Train",
+    content: (start) => [
       h(
-        "p",
-        { class: "help" },
-        "Larger pictures show small objects better, and take longer. An empty field uses the number shown in grey.",
+        "div.row",
+        ROLES.map(([, label], i) => h("label.row", roles[i], label)),
+        h("label.row", "for", minutes, "minutes"),
+        h("span.grow"),
+        start,
       ),
-    ),
-  );
-  const form = h(
-    "form",
-    // hidden until it is known that there is something to learn
-    { class: "stack", hidden: true, "data-testid": "train-form" },
-    h(
-      "div",
-      { class: "row" },
-      ROLES.map(([, label], i) => h("label", { class: "row" }, roles[i], label)),
-      h("label", { class: "row" }, "for", minutes, "minutes"),
-      h("span", { class: "grow" }),
-      start,
-    ),
-    h(
-      "p",
-      { class: "help" },
-      "More minutes train better. They are those of the view detector; the image detector learns longer with them. A ",
-      "fifth of the frames is never trained on: a detector that is worse on these than the one in use, or finds nothing, ",
-      "is not used unless you choose it below.",
-    ),
-    more,
-    problem,
-  );
-  const number = (/** @type {HTMLInputElement} */ input) => (input.value === "" ? null : input.valueAsNumber);
-  form.addEventListener("submit", async (event) => {
-    event.preventDefault();
-    problem.hidden = true;
-    start.disabled = true;
-    try {
+      h(
+        "p.help",
+        "More minutes train better. They are those of the view detector; the image detector learns longer with them. ",
+        "A fifth of the frames is never trained on: a detector that is worse on these than the one in use, or finds ",
+        "nothing, is not used unless you choose it below.",
+      ),
+      h(
+        "details",
+        h("summary", "Settings"),
+        h(
+          "div.settings",
+          ROLES.map(([, label], i) => field(`${label}: longer side, px`, sizes[i])),
+          field("Network", model),
+          h(
+            "p.help",
+            "Larger pictures show small objects better, and take longer. An empty field uses the number shown in grey.",
+          ),
+        ),
+      ),
+    ],
+    request() {
       const chosen = ROLES.map(([role]) => role).filter((_, i) => roles[i].checked);
       if (chosen.length === 0) throw new Error("Choose at least one detector to train.");
-      await startJob(app, {
+      return {
         kind: "train",
         roles: chosen,
-        minutes: number(minutes),
-        image_size_px: number(sizes[0]),
-        view_size_px: number(sizes[1]),
+        minutes: numberOf(minutes),
+        image_size_px: numberOf(sizes[0]),
+        view_size_px: numberOf(sizes[1]),
         model: model.value || null,
-      });
-    } catch (error) {
-      problem.textContent = messageOf(error);
-      problem.hidden = false;
-      start.disabled = false;
-    }
+      };
+    },
+    show,
   });
+  // until it is known that there is something to learn
+  form.hidden = true;
   return { form, start };
 }
 
@@ -295,40 +223,27 @@ function materialCard(
   const active = models.find((model) => model.role === role && model.active);
   const learned = active ? (active.boxes === null ? "unknown" : count(active.boxes, "box", "boxes")) : "nothing yet";
   return h(
-    "div",
-    { class: "card", "data-testid": `material-${role}` },
-    h("h3", {}, label),
-    h("p", { class: "muted" }, what),
+    "div.card",
+    { "data-testid": `material-${role}` },
+    h("h3", label),
+    h("p.muted", what),
     h(
-      "dl",
-      { class: "figures" },
-      h("dt", {}, "trained on"),
-      h("dd", { class: "number" }, learned),
-      h("dt", {}, "available now"),
+      "dl.figures",
+      h("dt", "trained on"),
+      h("dd.number", learned),
+      h("dt", "available now"),
       h(
-        "dd",
-        { class: "number" },
+        "dd.number",
         `${count(material[role], "drawn box", "drawn boxes")} and `,
         count(material.labels, "reviewed 3D box", "reviewed 3D boxes"),
       ),
     ),
-    role === "view"
-      ? h("p", { class: "help" }, "Each 3D box gives several training pictures, from different directions.")
-      : null,
-  );
-}
-
-function nothingYet(/** @type {ModeApp} */ app) {
-  return h(
-    "div",
-    { class: "empty" },
-    h("p", {}, "There are no boxes to train on yet. Draw a few objects first; each takes five 2D boxes."),
-    h("a", { class: "button", href: `#/${encodeURIComponent(app.state.route.project)}/annotate` }, "Label objects"),
+    role === "view" ? h("p.help", "Each 3D box gives several training pictures, from different directions.") : null,
   );
 }
 
 /** Curves of the running training, or else of the active models. */
-function curvesOf(/** @type {Api.Job | null} */ job, /** @type {Api.ModelList | null} */ known) {
+function curvesOf(/** @type {Api.Job | undefined} */ job, /** @type {Api.ModelList | null} */ known) {
   if (job && (isActive(job) || job.curves.length > 0) && job.state !== "done") return job.curves;
   const active = known?.models.filter((model) => model.active) ?? [];
   const kept = active.flatMap((model) => model.curves);

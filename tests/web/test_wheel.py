@@ -29,7 +29,7 @@ pytestmark = [
     pytest.mark.skipif(os.name != "posix", reason="the environment's programs are in bin/"),
 ]
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[2]
 STEM = f"rcv_annotator-{__version__}"
 # References to other files of the page in HTML, CSS and JavaScript.
 NAMED = re.compile(
