@@ -33,7 +33,7 @@ AGREE_IOU = 0.6
 # Boxes of a track are compared if they are at least so many frames apart: what moves slowly agrees with itself before.
 LEAST_APART = 5
 # A moment sees an object by so many points in its box, unless more than this share of its outline has nearer points.
-LEAST_POINTS, MOST_HIDDEN = 5, 0.95
+LEAST_POINTS, MOST_HIDDEN = 2, 0.95
 
 
 class StillCount(Strict):
