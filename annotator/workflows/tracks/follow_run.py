@@ -396,7 +396,8 @@ def follow_from_frame(
     """
     page = page_at(project, frame_id, revision)
     frame = page.frame
-    chosen = [stored for stored in page.labels if stored.is_own] if uid is None else [label_of(page, uid)]
+    moving = [stored for stored in page.labels if stored.is_own and stored.still is None]
+    chosen = moving if uid is None else [label_of(page, uid)]
     reviewed = [stored.label for stored in chosen if stored.label.state in REVIEWED]
     if not reviewed:
         which = "this box is not reviewed" if uid is not None else f"frame {frame.key} has no reviewed box to follow"
