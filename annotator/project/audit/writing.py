@@ -203,6 +203,12 @@ class Write:
         now = [row for (table, _), row in self._now.items() if table == "labels" and row is not None]
         return sorted((row for row in now if row["moment_id"] == self.moment_id), key=lambda row: int(row["id"]))
 
+    def sightings(self) -> list[Row]:
+        """The labels that still objects give the frame's moment, as rows."""
+        query = "SELECT uid FROM shown_stills WHERE moment_id = ?"
+        found = driver_of(self.connection).execute(query, (self.moment_id,)).fetchall()
+        return [self.label(uid) for (uid,) in found]
+
     def hidden_tracks(self) -> set[int]:
         """Tracks that have a box in the moment, made in another camera whose recording is removed."""
         query = (
