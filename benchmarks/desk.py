@@ -52,8 +52,8 @@ Result = str | Callable[[], bool]
 ROOM, DRIVE, CLASSES, VEHICLES = "room", "drive", ("person", "dummy"), ("Car", "Truck", "Pedestrian")
 # Frames of the room. The first ones have a box each for a task; then come three tracks, and where they are selected.
 FRAMES, GONE_TO, TRACKED, LENGTH, MIDDLE = 100, 17, 5, 25, 12
-# Boxes of a session, every fifth of which is changed in all ways.
-SESSION, CHANGED = 50, 5
+# Boxes of a session. In every second of its frames, one of them is changed in all ways.
+SESSION, CHANGED = 50, 2
 # On the street, x ahead, y to the left: place, size and heading. The far car has no points.
 FAR = "far Car"
 STREET = {
@@ -202,8 +202,9 @@ class Hand:
         self.get = self.page.get_by_test_id
         self.at = self._starts[name]
         open_frame(self.page, self.at.project, self.at.frame, self.at.uid)
-        shown = "document.querySelector('[data-testid=orthos]')?.dataset.shown"
-        until(self.page, f"({shown} ?? '') === '{self.at.uid}'", PATIENCE_S)
+        if self.at.uid:
+            shown = "document.querySelector('[data-testid=orthos]')?.dataset.shown"
+            until(self.page, f"{shown} === '{self.at.uid}'", PATIENCE_S)
         self.actions, self.wait_s = 0, 0.0
 
     def press(self, key: str, result: Result) -> None:
@@ -480,7 +481,9 @@ def layout_shift(hand: Hand, objects: Sequence[Start]) -> float:
         until(hand.page, shows(ROOM, hand.at.frame, position), PATIENCE_S)
         hand.draw()
         hand.press("Space", f"!({IS_NEW})")
-        for key in ("f", "Control+z", "x", "Control+z", "v") if number % CHANGED == 0 else ():
+        # following goes to another frame, as the next object does
+        is_last = objects[number % len(objects)].frame != hand.at.frame
+        for key in ("f", "Control+z", "x", "Control+z", "v") if is_last and hand.at.frame % CHANGED == 0 else ():
             hand.press(key, "true")
             hand.page.wait_for_timeout(300)
     shifts = hand.page.evaluate("window.shifts")

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from jaxtyping import UInt8
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.fenced_files import Kind, read_feather
@@ -84,6 +85,11 @@ class ArgoverseLog(Scanned, RigCamera):
             return (self._sweep_file(key),)
         folder = self.path / CAMERAS / self.camera
         return self._sweep_file(key), frame_file(folder, self.images[i], IMAGE_SUFFIXES, f"the sweep {key}")
+
+    def image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
+        if not self.camera:
+            return super().image(i)
+        return read_color_image(self.files(i)[1], (self._intrinsics.width_px, self._intrinsics.height_px)).rgb
 
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; its cloud holds the points inside the image, or all without images."""

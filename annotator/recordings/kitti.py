@@ -36,10 +36,10 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import cos, log, radians, tan
 from pathlib import Path
-from typing import ClassVar, TypeVar
+from typing import ClassVar, Literal, TypeVar
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float, Float64, UInt8
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import TABLE_BYTES, read_text_file
@@ -50,7 +50,6 @@ from annotator.recordings.image_file import read_color_image
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, joined, sorted_keys, stems
 from annotator.recordings.look_around import Scan, Scanned, Scenes, choose
 from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation, pinhole
-from annotator.recordings.poses import FILE_NAME as POSES_CSV
 from annotator.recordings.poses import Poses, numbers, pose_of_matrix, read_poses
 from annotator.recordings.recording import ReaderOptions
 from annotator.recordings.scan_file import Scans
@@ -197,7 +196,7 @@ def odometry_poses(path: Path, calibration: KittiCalibration, keys: Sequence[str
         lines = read_text_file(path, TABLE_BYTES).splitlines()
     poses: list[RigidTransform | None] = [None] * len(keys)
     for at, key in enumerate(keys):
-        if key.isascii() and key.isdigit() and len(key) <= MOST_DIGITS and int(key) < len(lines):
+        if is_number(key) and int(key) < len(lines):
             words, number = lines[int(key)].split(), int(key) + 1
             if len(words) != 12:
                 raise RecordingError(
@@ -206,23 +205,6 @@ def odometry_poses(path: Path, calibration: KittiCalibration, keys: Sequence[str
             T_first_rect = pose_of_matrix(path, f"line {number}", numbers(path, number, words))
             poses[at] = T_WORLD_FIRST * T_first_rect * calibration.T_camera_label.inv()
     return Poses.of_frames(path.name, poses)
-
-
-def _oxts_values(path: Path, line: int, words: Sequence[str]) -> list[float]:
-    """Returns latitude, longitude (degrees), altitude (metres), roll, pitch and yaw (radians) of a line of oxts."""
-    with file_errors(path, REMEDY, f"line {line}: "):
-        values = [to_number(word) for word in words[:6]]
-        if len(values) < 6 or not are_plausible(np.array(values)) or not -89 < values[0] < 89:
-            raise ValueError("must begin with latitude, longitude, altitude, roll, pitch and yaw")
-    return values
-
-
-def _oxts_pose(values: Sequence[float], first_lat: float) -> RigidTransform:
-    """Returns the pose of the GPS unit; the projection has the scale of the latitude of the drive's first frame."""
-    lat, lon, up_m, roll, pitch, yaw = values
-    reach_m = cos(radians(first_lat)) * EARTH_M
-    place_m = np.array([reach_m * radians(lon), reach_m * log(tan(radians(90 + lat) / 2)), up_m])
-    return RigidTransform.from_components(place_m, Rotation.from_euler("ZYX", [yaw, pitch, roll]))
 
 
 def visible_cloud(
@@ -257,11 +239,15 @@ PERIOD_NS = 100_000_000
 MOST_DIGITS = 10
 
 
+def is_number(key: str) -> bool:
+    return key.isascii() and key.isdigit() and len(key) <= MOST_DIGITS
+
+
 @dataclass(frozen=True, eq=False)
 class KittiFolder(Scanned):
     """A `Recording` of image and scan pairs, in two folders relative to `folder`: `path`, or its `training`.
 
-    `poses` are those of colour camera 2, or of the LiDAR in `poses.csv`; None: oxts has them, or there are none.
+    `poses` are those of colour camera 2, the LiDAR or the GPS unit, as `posed` says; None without any.
     """
 
     folder: Path
@@ -269,6 +255,7 @@ class KittiFolder(Scanned):
     scans: str
     reader: Scans = field(default_factory=Scans, kw_only=True)
     poses: Poses | None = field(default=None, kw_only=True)
+    posed: Literal["camera", "lidar", "imu"] = field(default="lidar", kw_only=True)
     # of a file of times in `root`
     times_name: ClassVar[str] = ""
     is_parallel: ClassVar[bool] = True
@@ -282,10 +269,13 @@ class KittiFolder(Scanned):
         image = frame_file(self.root / self.images, key, IMAGE_SUFFIXES, f"{self.scans}/{key}.bin")
         return image, self._scan_file(key)
 
+    def image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
+        return read_color_image(self.files(i)[0]).rgb
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; labels are in rectified camera 0 (`T_camera_label`)."""
-        key, (image, scan) = self.key(i), self.files(i)
-        rgb, calibration, raw = read_color_image(image).rgb, self.calibration(key), self.reader.read(scan)
+        key, (_, scan) = self.key(i), self.files(i)
+        rgb, calibration, raw = self.image(i), self.calibration(key), self.reader.read(scan)
         camera = calibration.camera(rgb.shape[1], rgb.shape[0])
         remedy = f"check that {calibration.path} belongs to this scan"
         cloud = visible_cloud(scan, camera, calibration.to_camera(raw.xyz_m), raw, rgb, remedy)
@@ -294,51 +284,21 @@ class KittiFolder(Scanned):
 
     @property
     def pose_source(self) -> str | None:
-        if self.poses is not None:
-            return self.poses.source
-        return None if self._oxts is None else self._oxts.relative_to(self.root).as_posix()
+        return None if self.poses is None else self.poses.source
 
     def pose(self, i: int) -> RigidTransform | None:
         key = self.key(i)
-        if self.poses is not None:
-            T = self.poses.at(i, self._time_of(i))
-            return T if T is None or self.poses.source != POSES_CSV else T * self.calibration(key).T_camera_lidar.inv()
-        values = None if self._oxts is None else self._oxts_values(key)
-        calibration = None if values is None else self.calibration(key)
-        if values is None or calibration is None or calibration.T_lidar_imu is None:
-            return None
-        T_world_imu = _oxts_pose(values, self._first_latitude)
-        return T_world_imu * (calibration.T_camera_lidar * calibration.T_lidar_imu).inv()
+        T = None if self.poses is None else self.poses.at(i, self._time_of(i))
+        if T is None or self.posed == "camera":
+            return T
+        calibration = self.calibration(key)
+        if self.posed == "imu":
+            T = None if calibration.T_lidar_imu is None else T * calibration.T_lidar_imu.inv()
+        return None if T is None else T * calibration.T_camera_lidar.inv()
 
-    @cached_property
-    def _oxts(self) -> Path | None:
-        """The folder of a drive's GPS, a file for each frame, or its file, a line for each; None without them."""
-        return next((place for place in self.oxts_places() if place.exists()), None)
-
-    def oxts_places(self) -> tuple[Path, ...]:
-        return ()
-
-    def _oxts_values(self, key: str) -> list[float] | None:
-        """Returns what a frame's line says; None without one."""
-        assert self._oxts is not None
-        if self._oxts.is_dir():
-            file, at, lines = self._oxts / f"{key}.txt", 0, tuple[str, ...]()
-            with file_errors(file, REMEDY):
-                lines = tuple(read_text_file(file).splitlines()) if file.is_file() else ()
-        else:
-            is_number = key.isascii() and key.isdigit() and len(key) <= MOST_DIGITS
-            file, at, lines = self._oxts, int(key) if is_number else 10**MOST_DIGITS, self._oxts_lines
-        return _oxts_values(file, at + 1, lines[at].split()) if at < len(lines) else None
-
-    @cached_property
-    def _oxts_lines(self) -> tuple[str, ...]:
-        assert self._oxts is not None
-        with file_errors(self._oxts, REMEDY):
-            return tuple(read_text_file(self._oxts, TABLE_BYTES).splitlines())
-
-    @cached_property
-    def _first_latitude(self) -> float:
-        return next(values[0] for key in self.keys if (values := self._oxts_values(key)) is not None)
+    def oxts(self, key: str) -> tuple[Path, int] | None:
+        """Returns the file of a frame's GPS, and the line in it, from 0; None for formats without."""
+        return None
 
     def scan(self, i: int) -> Scan:
         key = self.key(i)
@@ -365,7 +325,7 @@ class KittiFolder(Scanned):
     def _time_of(self, i: int) -> int | None:
         """Returns the time of frame `i`: the key's number determines it, so gaps are kept."""
         key = self.keys[i]
-        return self.time_ns(int(key) if key.isascii() and key.isdigit() and len(key) <= MOST_DIGITS else i)
+        return self.time_ns(int(key) if is_number(key) else i)
 
     @abstractmethod
     def calibration(self, key: str) -> KittiCalibration:
@@ -406,15 +366,52 @@ Kitti = TypeVar("Kitti", bound=KittiFolder)
 
 
 def _with_poses(recording: Kitti, *odometry: Path) -> Kitti:
-    """Returns a recording with the poses of the first of these files of the odometry, else of poses.csv."""
-    file, poses = next((path for path in odometry if path.is_file()), None), None
-    if file is not None:
-        with suppress(FrameError):  # of a calibration, which each frame reports
+    """Returns a recording with the poses of the first of these files of the odometry, else of oxts or poses.csv."""
+    file = next((path for path in odometry if path.is_file()), None)
+    with suppress(FrameError):  # of a calibration, or of a file of times, which each frame reports
+        if file is not None:
             poses = odometry_poses(file, recording.calibration(recording.keys[0]), recording.keys)
-    elif recording.pose_source is None:
-        with suppress(FrameError):  # of a file of times
-            poses = read_poses(recording.root, recording.keys, recording.times_ns)
-    return replace(recording, poses=poses)
+            return replace(recording, poses=poses, posed="camera")
+        if (gps := _oxts_poses(recording)) is not None:
+            return replace(recording, poses=gps, posed="imu")
+        return replace(recording, poses=read_poses(recording.root, recording.keys, recording.times_ns))
+    return recording
+
+
+def _oxts_poses(recording: KittiFolder) -> Poses | None:
+    """Returns the poses of the GPS unit, in a projection with the scale of the first one's latitude; None without."""
+    files, rows = dict[Path, list[str]](), list[list[float] | None]()
+    for place in map(recording.oxts, recording.keys):
+        if place is None:
+            rows.append(None)
+            continue
+        file, at = place
+        if file not in files:
+            with file_errors(file, REMEDY, kind=RecordingError):
+                files[file] = read_text_file(file, TABLE_BYTES).splitlines() if file.is_file() else []
+        rows.append(_oxts_row(file, at + 1, files[file][at].split()) if at < len(files[file]) else None)
+    scale = next((cos(radians(row[0])) for row in rows if row is not None), None)
+    if scale is None:
+        return None
+    found = next(file for file in files if files[file])
+    source = (found.parent if len(files) > 1 else found).relative_to(recording.root).as_posix()
+    return Poses.of_frames(source, [None if row is None else _oxts_pose(row, scale * EARTH_M) for row in rows])
+
+
+def _oxts_row(path: Path, line: int, words: Sequence[str]) -> list[float]:
+    """Returns latitude, longitude (degrees), altitude (metres), roll, pitch and yaw (radians) of a line of oxts."""
+    row = numbers(path, line, words[:6])
+    if len(row) < 6 or not are_plausible(np.array(row)) or not -89 < row[0] < 89:
+        raise RecordingError(
+            f"{path}:{line}: must begin with latitude, longitude, altitude, roll, pitch, yaw; {REMEDY}"
+        )
+    return row
+
+
+def _oxts_pose(row: Sequence[float], earth_m: float) -> RigidTransform:
+    lat, lon, up_m, roll, pitch, yaw = row
+    place_m = np.array([earth_m * radians(lon), earth_m * log(tan(radians(90 + lat) / 2)), up_m])
+    return RigidTransform.from_components(place_m, Rotation.from_euler("ZYX", [yaw, pitch, roll]))
 
 
 def keys_in(root: Path, images: str, scans: str) -> tuple[str, ...] | None:
@@ -488,8 +485,8 @@ class KittiRaw(KittiFolder):
 
     times_name: ClassVar[str] = "image_02/timestamps.txt"
 
-    def oxts_places(self) -> tuple[Path, ...]:
-        return (self.path / "oxts/data",)
+    def oxts(self, key: str) -> tuple[Path, int]:
+        return self.path / "oxts" / "data" / f"{key}.txt", 0
 
     @staticmethod
     def time_of(line: str) -> int | None:
@@ -532,8 +529,8 @@ class KittiTracking(KittiFolder, Scenes):
     def calibration(self, key: str) -> KittiCalibration:
         return read_calibration(self._of_drive("calib"))
 
-    def oxts_places(self) -> tuple[Path, ...]:
-        return (self._of_drive("oxts"),)
+    def oxts(self, key: str) -> tuple[Path, int] | None:
+        return (self._of_drive("oxts"), int(key)) if is_number(key) else None
 
     def _of_drive(self, kind: str) -> Path:
         return self.root / kind / f"{self.scene}.txt" if self.scene else self.root / f"{kind}.txt"

@@ -18,6 +18,7 @@ from pathlib import Path, PurePosixPath
 from typing import ClassVar, TypeVar
 
 import numpy as np
+from jaxtyping import UInt8
 from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.transforms import FORWARD, Quaternions
@@ -256,6 +257,12 @@ class NuScenes(Scanned, RigCamera, Scenes):
         self.key(i)
         image, scan = self.moments[i]
         return tuple(spelled(self.root, shot.file) for shot in ((image, scan) if self.camera else (scan,)))
+
+    def image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
+        if not self.camera:
+            return super().image(i)
+        file, (shot, _) = self.files(i)[0], self.moments[i]
+        return read_color_image(file, (shot.width_px, shot.height_px)).rgb
 
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; its cloud holds the points inside the image, or all without images."""

@@ -29,7 +29,7 @@ from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 from annotator.files import TABLE_BYTES, read_file, read_text_file
 from annotator.recordings.frame_times import LONGEST_TIME, Times, unit_problem
 from annotator.recordings.listing import file_errors
-from annotator.recordings.plausible import are_plausible, is_rotation
+from annotator.recordings.plausible import LARGEST, are_plausible, is_rotation
 from annotator.recordings.recording import Recording
 from annotator.text import normal, to_number
 from annotator.types.bases import FileRecord, Strict
@@ -75,22 +75,21 @@ class Poses:
         Raises:
             RecordingError: a number, a quaternion or the order of the times is wrong; it names the line.
         """
-        times, values, before = list[int](), list[Sequence[float]](), 0
+        lines, times, values = list[int](), list[int](), list[Sequence[float]]()
         for line, time_ns, row in rows:
-            require_pose(path, line, row)
             if times and time_ns <= times[-1]:
                 if time_ns == times[-1] and tuple(row) == tuple(values[-1]):
                     continue
                 what = "before that of" if time_ns < times[-1] else "that of another pose in"
                 raise RecordingError(
-                    f"{path}:{line}: its time is {what} line {before}: two clocks, or two runs; {REMEDY}"
+                    f"{path}:{line}: its time is {what} line {lines[-1]}: two clocks, or two runs; {REMEDY}"
                 )
+            lines.append(line)
             times.append(time_ns)
             values.append(row)
-            before = line
         if not times:
             return None
-        table = np.array(values, np.float64)
+        table = checked(path, lines, values)
         return Poses(path.name, table[:, :3], table[:, 3:], np.array(times, np.int64))
 
     @staticmethod
@@ -133,13 +132,17 @@ def between(first: RigidTransform | None, second: RigidTransform | None, share: 
     return RigidTransform.from_components(start + (second.translation - start) * share, turn)
 
 
-def require_pose(path: Path, line: int, row: Sequence[float]) -> None:
-    """Raises RecordingError unless a row has a place and a unit quaternion x y z w."""
-    values = np.array(row, np.float64)
-    if len(values) != 7 or not are_plausible(values):
-        raise RecordingError(f"{path}:{line}: must be a place and a quaternion, of finite numbers; {REMEDY}")
-    if abs(length := float(np.linalg.norm(values[3:])) - 1) > MOST_OFF_UNIT:
-        raise RecordingError(f"{path}:{line}: must be a unit quaternion, but its length is {length + 1:.4g}; {REMEDY}")
+def checked(path: Path, lines: Sequence[int], rows: Sequence[Sequence[float]]) -> Float64[np.ndarray, "n 7"]:
+    """Returns rows of a place and a quaternion x y z w; RecordingError names the line of the first that has none."""
+    table = np.array(rows, np.float64).reshape(-1, 7)
+    lengths = np.linalg.norm(table[:, 3:], axis=1)
+    # comparisons with NaN are false
+    are_sound = np.asarray((np.abs(table) <= LARGEST).all(axis=1))
+    for at in np.flatnonzero(~(are_sound & (np.abs(lengths - 1) <= MOST_OFF_UNIT)))[:1]:
+        what = f"a unit quaternion, but its length is {lengths[at]:.4g}"
+        what = what if are_sound[at] else "a place and a quaternion, of finite numbers"
+        raise RecordingError(f"{path}:{lines[at]}: must be {what}; {REMEDY}")
+    return table
 
 
 def pose_of_matrix(path: Path, where: str, values: Sequence[float]) -> RigidTransform:
@@ -192,10 +195,10 @@ def read_poses(path: Path, keys: Sequence[str], times_ns: Times | None) -> Poses
         if name in found:
             raise RecordingError(f"{file}:{line}: {by} {name[:40]} already has a line; {REMEDY}")
         found[name] = line, numbers(file, line, [row[i] for i in order])
-        require_pose(file, line, found[name][1])
     if by == "key":
-        values = (found.get(normal(key)) for key in keys)
-        return Poses.of_frames(FILE_NAME, [v and rigid(np.array(v[1][:3]), np.array(v[1][3:])) for v in values])
+        table = checked(file, [line for line, _ in found.values()], [row for _, row in found.values()])
+        of_key = dict(zip(found, (rigid(row[:3], row[3:]) for row in table), strict=True))
+        return Poses.of_frames(FILE_NAME, [of_key.get(normal(key)) for key in keys])
     if times_ns is None:
         raise RecordingError(f"{file}: has times, but the frames have none; write keys, or timestamps.csv")
     timed = [(line, _whole(file, line, time), row) for time, (line, row) in found.items()]

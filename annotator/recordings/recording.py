@@ -12,6 +12,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
+from jaxtyping import UInt8
 from pydantic import Field, ValidationError
 from scipy.spatial.transform import RigidTransform
 
@@ -122,6 +124,10 @@ class Recording(ABC):
             FrameError: this frame cannot be read; others may be readable.
             IndexError: there is no such frame.
         """
+
+    def image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
+        """Reads the image of frame `i`, RGB order: without the rest of the frame, if it is a file of its own."""
+        return self.frame(i).rgb
 
     @property
     def root(self) -> Path:

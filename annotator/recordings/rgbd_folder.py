@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from jaxtyping import Float32, Float64, UInt16
+from jaxtyping import Float32, Float64, UInt8, UInt16
 from pydantic import Field, FiniteFloat
 from scipy.spatial.transform import RigidTransform
 
@@ -238,6 +238,9 @@ class RgbdFolder(Recording):
         key = self.key(i)
         color = frame_file(self.color, key, IMAGE_SUFFIXES, f"depth/{key}.png")
         return color, frame_file(self.path / "depth", key, (".png",), f"{self.color.name}/{color.name}")
+
+    def image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
+        return read_color_image(self.files(i)[0], read_camera(camera_file(self.path)).size, has_depth=True).rgb
 
     def frame(self, i: int) -> Frame:
         """Reads frame `i` with `depth_m`; its cloud has `rgb`, and `pixel_index` if the depth is registered."""

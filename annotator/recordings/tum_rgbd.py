@@ -20,10 +20,11 @@ from pathlib import Path, PurePosixPath
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Int64
+from jaxtyping import Int64, UInt8
 from scipy.spatial.transform import RigidTransform
 
 from annotator.files import TABLE_BYTES, read_text_file, why_missing
+from annotator.recordings.image_file import read_color_image
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors
 from annotator.recordings.poses import Poses, numbers
 from annotator.recordings.recording import ReaderOptions, Recording
@@ -95,12 +96,13 @@ class TumRgbd(Recording):
         color, depth = self.images[i]
         return self._file(color), self._file(depth)
 
+    def image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
+        return read_color_image(self.files(i)[0], self._camera().size, has_depth=True).rgb
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i` with `depth_m`; its cloud has `rgb` and `pixel_index`."""
         key, (color, depth) = self.key(i), self.files(i)
-        camera = RgbdCamera(self.path / FILE_NAME, CAMERA, UNITS_PER_M)
-        if camera.path.is_file():
-            camera = read_camera(camera.path, UNITS_PER_M)
+        camera = self._camera()
         image, cloud, depth_m = read_images(self.path, color, depth, camera)
         T = self.pose(i)
         # the worlds of other recordings may be those of their first image
@@ -115,6 +117,10 @@ class TumRgbd(Recording):
     def pose(self, i: int) -> RigidTransform | None:
         self.key(i)
         return None if self.poses is None else self.poses.at(i, self.times_ns[i])
+
+    def _camera(self) -> RgbdCamera:
+        camera = RgbdCamera(self.path / FILE_NAME, CAMERA, UNITS_PER_M)
+        return read_camera(camera.path, UNITS_PER_M) if camera.path.is_file() else camera
 
     def _file(self, name: str) -> Path:
         """Returns the path of a listed file, which must lie in the folder, or in one that is linked into it."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import UInt8
 from scipy.spatial.transform import RigidTransform
 
 from annotator.files import why_missing
@@ -42,9 +43,15 @@ class OpenedRecording:
         correction, up = self.stored.correction, self.stored.up
         if correction.time_offset_s:
             shown = image_at(self.recording, index, correction.time_offset_s)
-            frame = frame if shown == index else with_image(frame, self.recording.frame(shown).rgb)
+            frame = frame if shown == index else with_image(frame, self.recording.image(shown))
         frame = corrected(frame, correction)
         return frame if up is None else replace(frame, up=np.asarray(up, np.float64))
+
+    def image(self, key: str) -> UInt8[np.ndarray, "h w 3"]:
+        """Reads the image of a frame, RGB order, as `read` gives it."""
+        index = self.index(key)
+        offset_s = 0.0 if self.stored is None else self.stored.correction.time_offset_s
+        return self.recording.image(image_at(self.recording, index, offset_s) if offset_s else index)
 
     def index(self, key: str) -> int:
         if key not in self.recording.indices:

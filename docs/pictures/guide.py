@@ -194,8 +194,8 @@ def correct(page: Page) -> None:
     shown = page.get_by_test_id("view-front").locator(".box.suggested").first.bounding_box()
     assert shown is not None
     middle, low = shown["x"] + shown["width"] / 2, shown["y"] + shown["height"]
-    drag(page, (middle, low), (middle, low + 0.02 * shown["height"]))
-    page.wait_for_timeout(SETTLED_MS)
+    drag(page, (middle, low), (middle, low + 0.06 * shown["height"]))
+    page.get_by_text("2 of 5 boxes").wait_for()
 
 
 def follow(page: Page) -> None:
@@ -253,7 +253,7 @@ def propose(page: Page) -> None:
 def check(page: Page) -> None:
     """Suspicious labels."""
     click(page, "mode-checks")
-    page.get_by_text("checked.").wait_for()
+    page.get_by_test_id("checks-note").get_by_text("checked.").wait_for()
     keep(page, "guide_check")
 
 

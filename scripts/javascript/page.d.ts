@@ -124,16 +124,17 @@ interface Messages {
 
 type ViewportMessage = { workbench: string } & (
   | { event: "connected"; connected: boolean }
-  | ({ event: "select" } & ViewportEvents["select"])
-  | ({ event: "box" } & ViewportEvents["box"])
+  | { event: "select"; uid: string }
+  | ({ event: "box" } & MovedBox)
 );
 
-interface ViewportEvents {
+/** What a mode does with the 3D view. */
+interface ViewportUser {
+  onSelect(uid: string): void;
   /** The gizmo moves a box; the last message of a drag is `final`. */
-  box: { uid: string; box: Box3D; final: boolean };
-  select: { uid: string };
-  state: ViewportState;
+  onBox(moved: MovedBox): void;
 }
+type MovedBox = { uid: string; box: Box3D; final: boolean };
 
 /** What the colours of boxes in the 3D view say. */
 type BoxColor = "state" | "class" | "track";

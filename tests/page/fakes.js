@@ -87,6 +87,7 @@ class FakeElement extends EventTarget {
   matches = () => true;
   contains = (other) => other === this;
   focus() {}
+  remove() {}
   setPointerCapture() {}
 }
 

@@ -102,7 +102,7 @@ test("the handle of a view turns the box clockwise on the screen, about its cent
     ["side", 1, 1],
   ]) {
     for (const { box, views } of cases.boxes) {
-      const after = box3d.turnedInView(views[name], box, angle);
+      const after = box3d.turned(box, views[name].axes[2], angle);
       const turn = multiply(transpose(box.rotation), after.rotation);
       assertClose(turn, aboutAxis(IDENTITY[axis], sign * angle));
       assertClose([after.center, after.size], [box.center, box.size]);

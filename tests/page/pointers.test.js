@@ -197,3 +197,19 @@ test("one finger draws, and two fingers zoom", async () => {
   near(it.edges(), [40, 50, 180, 140]);
   assert.deepEqual(it.whys(), ["draw"]);
 });
+
+test("what comes after an editor has ended is not drawn", async () => {
+  let asked = 0;
+  const color = () => {
+    asked += 1;
+    return "#ffffff";
+  };
+  const { editor } = await editorOf({ color });
+  editor.setBoxes([{ label: "person", x_min: 10, y_min: 10, x_max: 50, y_max: 50 }]);
+  await editor.setPicture("b.png", WIDTH, HEIGHT);
+  assert.ok(asked > 0);
+  editor.destroy();
+  asked = 0;
+  await editor.setPicture("c.png", WIDTH, HEIGHT);
+  assert.equal(asked, 0);
+});

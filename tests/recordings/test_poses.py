@@ -19,7 +19,7 @@ from small_recordings import POSE, put, write_tum
 
 from annotator.recordings import ReaderOptions, Recording, open_recording
 from annotator.recordings.poses import HOLDS_NS, LONGEST_GAP_NS, Poses, survey_poses
-from annotator.types.errors import FrameError, RecordingError
+from annotator.types.errors import RecordingError
 
 NO_TURN = (0.0, 0.0, 0.0, 1.0)
 HALF = float(np.sqrt(0.5))
@@ -326,8 +326,8 @@ def test_a_wall_before_a_car_with_gps_stands_still(tmp_path: Path):
     np.testing.assert_allclose(around.pose(0).as_matrix(), around.frame(0).T_world_camera.as_matrix())  # type: ignore[union-attr]
     same(place(around.pose(0), 0, 0, 1) - place(around.pose(0), 0, 0, 0), -1, 0, 0, atol=0.05)
     put(tmp_path / "oxts" / "data" / "0.txt", "49 8.4 x")
-    with pytest.raises(FrameError, match=r"0\.txt: line 1: 'x' is"):
-        recording.pose(0)
+    with pytest.raises(RecordingError, match=r"0\.txt: line 1: 'x' is"):
+        open_recording(tmp_path)
 
 
 @pytest.mark.parametrize("form", ["odometry", "beside", "clouds", "tracking"])

@@ -139,6 +139,7 @@ def test_a_frame_has_these_files_and_an_empty_one_is_seen(
     found = [file.relative_to(folder).as_posix() for file in files]
     assert len(found) == len(names) and all(map(fnmatch, found, names))
     assert broken_frames(recording, seconds=-1).errors == {}
+    np.testing.assert_array_equal(recording.image(0), recording.frame(0).rgb)
     for file in files:
         content = file.read_bytes()
         file.write_bytes(b"")

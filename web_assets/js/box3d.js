@@ -101,11 +101,7 @@ export function toView(/** @type {Plane} */ view, /** @type {Vector} */ point) {
   return [0, 1].map((i) => (dot(view.axes[i], point) - view.origin_m[i]) / view.metres_per_px);
 }
 
-/**
- * The arrow of a box's heading on a view, px. It ends within the box, where no handle hides it.
- *
- * @returns {Arrow}
- */
+/** The arrow of a box's heading on a view, px. It ends within the box, where no handle hides it. @returns {Arrow} */
 export function viewHeading(/** @type {Plane} */ view, /** @type {Box3D} */ box) {
   const x = boxAxis(box, 0);
   const [from, to] = [0, 0.4].map((share) => toView(view, add(box.center, scale(x, share * box.size[0]))));
@@ -166,14 +162,10 @@ export function withViewRect(/** @type {Plane} */ view, /** @type {Box3D} */ box
   return after;
 }
 
-/** The box turned about its centre and a unit vector of the camera frame. */
+/** The box turned about its centre and a unit vector of the camera frame; about a view's line of sight: clockwise. */
 export function turned(/** @type {Box3D} */ box, /** @type {Vector} */ axis, /** @type {number} */ angleRad) {
   return { ...copyBox(box), rotation: orthonormal(multiply(aboutAxis(axis, angleRad), box.rotation)) };
 }
-
-/** The box after a view's rotation handle was turned by an angle, clockwise on the screen (x to y). */
-export const turnedInView = (/** @type {Plane} */ view, /** @type {Box3D} */ box, /** @type {number} */ angleRad) =>
-  turned(box, view.axes[2], angleRad);
 
 /**
  * The same cuboid with its heading turned by so many quarters about z, so that the same points are inside: by one,

@@ -36,11 +36,7 @@ export function outline(/** @type {Camera} */ camera, /** @type {Box3D} */ box) 
   return EDGES.flatMap(([a, b]) => line(camera, points[a], points[b]));
 }
 
-/**
- * The arrow of a box's heading as far as it is on the picture; null if nothing of it is.
- *
- * @returns {Arrow | null}
- */
+/** The arrow of a box's heading as far as it is on the picture; null if nothing of it is. @returns {Arrow | null} */
 export function imageHeading(/** @type {Camera} */ camera, /** @type {Box3D} */ box) {
   const [middle, front] = headingArrow(box);
   const px = line(camera, middle, front).flat();

@@ -157,7 +157,7 @@ export function button(content, onclick, more = {}) {
 export function iconButton(
   /** @type {keyof typeof GLYPHS} */ icon,
   /** @type {string} */ label,
-  /** @type {() => unknown} */ onclick,
+  /** @type {(event: MouseEvent) => unknown} */ onclick,
   /** @type {Attributes} */ more = {},
 ) {
   return button(glyph(icon), onclick, { class: "icon quiet", title: label, "aria-label": label, ...more });

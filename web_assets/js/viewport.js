@@ -41,29 +41,21 @@ const STYLE =
   "canvas { cursor: default !important; outline: none; }";
 
 export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" | "keys" | "state">} */ app) {
-  /** @type {Map<string, Set<(value: never) => unknown>>} */
-  const listeners = new Map();
-  const note = h("p", { class: "viewport-note", role: "status", "data-testid": "viewport-note" });
-  const stage = h("div", { class: "viewport-stage", "data-testid": "viewport" }, note);
+  /** What the mode does that shows the view. @type {ViewportUser | null} */
+  let user = null;
+  const note = h("p.viewport-note", { role: "status", "data-testid": "viewport-note" });
+  const stage = h("div.viewport-stage", { "data-testid": "viewport" }, note);
   const bar = createViewportBar({ change: () => look(null), look });
-  const element = h("div", { class: "viewport" }, bar.root, stage);
-  const layer = h("div", { class: "viewport-layer", hidden: true }, bar.looks);
+  const element = h("div.viewport", bar.root, stage);
+  const layer = h("div.viewport-layer", { hidden: true }, bar.looks);
   const place = { text: "" };
   /** @type {HTMLIFrameElement | null} */
   let frame = null;
-  /**
-   * The open viewport of the server.
-   *
-   * @type {(Api.OpenedViewport & { project: string }) | null}
-   */
+  /** The open viewport of the server. @type {(Api.OpenedViewport & { project: string }) | null} */
   let bench = null;
   /** @type {Wanted | null} */
   let wanted = null;
-  /**
-   * The scene that the server shows.
-   *
-   * @type {Wanted | null}
-   */
+  /** The scene that the server shows. @type {Wanted | null} */
   let last = null;
   let busy = false;
   let isHeld = false;
@@ -88,24 +80,13 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   const pace = createPace(graphics === "software" ? SOFTWARE.moving : Infinity);
   if (graphics === "none") say("unsupported", NO_WEBGL);
 
-  /**
-   * @template {keyof ViewportEvents} K
-   * @param {K} event
-   * @param {ViewportEvents[K]} value
-   */
-  function emit(event, value) {
-    for (const fn of [...(listeners.get(event) ?? [])]) fn(/** @type {never} */ (value));
-  }
-
   /** Changes the state; `text` is shown while there is no picture. */
   function say(/** @type {ViewportState} */ next, /** @type {string} */ text = "") {
-    const changed = state !== next;
     state = next;
     note.textContent = text;
     stage.dataset.state = next;
     bar.root.hidden = next === "unsupported";
     follow();
-    if (changed) emit("state", next);
   }
 
   /** Puts the iframe over its place. Hides it while the place is not on the page, or there is no picture. */
@@ -216,8 +197,8 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   function receive(/** @type {ViewportMessage} */ message) {
     if (message.workbench !== bench?.id) return;
     if (message.event === "connected") connected(message.connected);
-    else if (message.event === "box") emit("box", message);
-    else emit("select", message);
+    else if (message.event === "box") user?.onBox(message);
+    else user?.onSelect(message.uid);
   }
 
   /** Makes a new iframe for a new viewport. */
@@ -307,20 +288,7 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   }
 
   return {
-    element,
     show,
-    /**
-     * Calls `handler(value)` for each event. Returns a function that removes this handler.
-     *
-     * @template {keyof ViewportEvents} K
-     * @param {K} event
-     * @param {(value: ViewportEvents[K]) => unknown} handler
-     */
-    on(event, handler) {
-      const known = listeners.get(event) ?? new Set();
-      listeners.set(event, known.add(handler));
-      return () => known.delete(handler);
-    },
     /** The viewport's id; null before it is open. */
     get id() {
       return bench?.id ?? null;
@@ -329,6 +297,11 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
       return state;
     },
     graphics,
+    /** Puts the view into the page, until `detach`. */
+    attach(/** @type {HTMLElement} */ host, /** @type {ViewportUser} */ by) {
+      user = by;
+      host.append(element);
+    },
     /** A view that is not shown yet waits until the returned function is called. */
     hold() {
       isHeld = state !== "ready";
@@ -342,6 +315,7 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     /** Takes the view out of the page. It stays connected, so it can be shown again at once. */
     detach() {
       if (element.contains(document.activeElement) || document.activeElement === frame) window.focus();
+      user = null;
       element.remove();
       follow();
     },

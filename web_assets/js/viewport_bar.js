@@ -71,7 +71,7 @@ export function createViewportBar(on) {
     settings.only_selected = !settings.only_selected;
     changed();
   });
-  const heightText = h("output", { class: "number" }, "all");
+  const heightText = h("output.number", "all");
   /** @type {HTMLInputElement} */
   const height = h("input", {
     type: "range",
@@ -87,19 +87,19 @@ export function createViewportBar(on) {
       changed();
     },
   });
-  const note = h("span", { class: "muted number", "data-testid": "viewport-points" });
+  const note = h("span.muted.number", { "data-testid": "viewport-points" });
   const looks = LOOKS.map(([look, text, title]) =>
     button(text, () => on.look(look), { title, "data-testid": `look-${look}` }),
   );
   const root = h(
-    "div",
-    { class: "viewport-bar", role: "toolbar", "aria-label": "3D view" },
+    "div.viewport-bar",
+    { role: "toolbar", "aria-label": "3D view" },
     points,
     boxes,
     ground,
     only,
-    h("label", { class: "height" }, height, heightText),
-    h("span", { class: "grow" }),
+    h("label.height", height, heightText),
+    h("span.grow"),
     note,
   );
 
@@ -130,7 +130,7 @@ export function createViewportBar(on) {
   return {
     root,
     /** The buttons that move the viewer, to be put over the view. */
-    looks: h("div", { class: "viewport-looks", role: "toolbar", "aria-label": "Views" }, looks),
+    looks: h("div.viewport-looks", { role: "toolbar", "aria-label": "Views" }, looks),
     settings,
 
     /**

@@ -59,17 +59,16 @@ def moved_along(
         return []
     frames = {each.id: each for each in project.frames.of([frame.recording_id])}
     times = _times(project, frame.recording_id, frames, recordings)
+    there = Surroundings(project, [(frames[each.frame_id], each.label.box, track_id) for each in along])
     new: list[tuple[StoredFrame, StoredLabel, OrientedBox]] = []
     for boxes, end in sides:
-        present = [each for each in boxes if each.frame_id in times]
+        present = [
+            each for each in boxes if each.frame_id in times and not there.is_finalised(frames[each.frame_id], each)
+        ]
         for each, change in _changes(present, end, was, now, times, times[frame.id]):
             new.append((frames[each.frame_id], each, corrected_alike(each.label.box, *change)))
     there = Surroundings(project, [(at, box, track_id) for at, _, box in new])
-    return [
-        (at, events)
-        for at, each, box in new
-        if not there.is_finalised(at, each) and (events := changed_box(there, at, each, box=box))
-    ]
+    return [(at, events) for at, each, box in new if (events := changed_box(there, at, each, box=box))]
 
 
 def corrected_alike(box: OrientedBox, was: OrientedBox, now: OrientedBox) -> OrientedBox:

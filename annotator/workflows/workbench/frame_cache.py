@@ -7,12 +7,12 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Int64
+from jaxtyping import Int64, UInt8
 
 from annotator.geometry.ground import Ground, find_ground
 from annotator.geometry.normals import normals_from_depth
@@ -127,10 +127,9 @@ class OpenFrame:
         return self._results.get(key, compute)
 
 
-def _small(frame: Frame, width_px: int) -> bytes:
+def _small(rgb: UInt8[np.ndarray, "h w 3"], width_px: int) -> bytes:
     import cv2
 
-    rgb = frame.rgb
     if width_px < rgb.shape[1]:
         height_px = max(round(rgb.shape[0] * width_px / rgb.shape[1]), 1)
         rgb = cv2.resize(rgb, (width_px, height_px), interpolation=cv2.INTER_AREA)
@@ -219,7 +218,17 @@ class FrameCache:
         """Returns a small picture of a frame as a JPEG file, read once; the frame is not opened. Raises as `read`."""
         stored = project.frames.get(frame_id)
         key = project, frame_id, stored.key, project.adjustments.newest(stored.recording_id), width_px
-        return self._small.get(key, lambda: _small(self.look(project, stored), width_px))
+        return self._small.get(key, lambda: _small(self._image(project, stored), width_px))
+
+    def _image(self, project: Project, stored: StoredFrame) -> UInt8[np.ndarray, "h w 3"]:
+        """The image of a frame, without its points where the recording can do that."""
+        if self._cached((project, stored.id)) is None:
+            lock, source = self._source(project)
+            with lock:
+                recording = source.adjusted(stored.recording_id)
+            with nullcontext() if recording.recording.is_parallel else lock, suppress(FrameError):
+                return recording.image(stored.key)
+        return self.look(project, stored).rgb
 
     def camera(self, project: Project, frame_id: int) -> Camera:
         """Returns the camera of a frame's recording; the first frame that is asked for is read. Raises as `read`."""

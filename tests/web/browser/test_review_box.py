@@ -405,11 +405,11 @@ PAGE = """async ([project, left, top, width, height]) => {
   const host = document.createElement("div");
   host.style.cssText = `position: fixed; left: ${left}px; top: ${top}px; width: ${width}px; height: ${height}px`;
   window.view = viewport.createViewport(app);
-  host.append(view.element);
   document.body.append(host);
   window.host = host;
-  window.told = { box: [], select: [], state: [] };
-  for (const event of Object.keys(told)) view.on(event, (value) => told[event].push(value));
+  window.told = { box: [], select: [] };
+  window.user = { onBox: (moved) => told.box.push(moved), onSelect: (uid) => told.select.push(uid) };
+  view.attach(host, user);
 }"""
 
 
@@ -482,7 +482,7 @@ def test_the_view_draws_a_cloud_forwards_keys_selects_and_outlives_its_server(
     nearest = min(labels, key=lambda label: label.box.center_m[2])
     view.mouse.click(*on_screen(live, view, nearest.box.center_m))
     until(view, "told.select.length > 0")
-    assert view.evaluate("told.select[0].uid") == nearest.uid
+    assert view.evaluate("told.select[0]") == nearest.uid
 
     # keys are forwarded to the page, and do not move the camera
     view.mouse.click(LEFT + 10, TOP + 10)
@@ -523,7 +523,7 @@ def test_the_view_draws_a_cloud_forwards_keys_selects_and_outlives_its_server(
     # the view survives moving and a server's restart, and closes with the page
     view.evaluate("view.detach()")
     until(view, lambda: not view.get_by_test_id("viewport-frame").is_visible())
-    view.evaluate("host.style.width = '400px'; host.append(view.element)")
+    view.evaluate("host.style.width = '400px'; view.attach(host, user)")
     until(view, "document.querySelector('[data-testid=viewport-frame]')?.getBoundingClientRect().width === 400")
     assert view.evaluate("[view.id, view.state]") == [known, "ready"]
     until(view, lambda: drawn(view) > 0.1)

@@ -117,7 +117,6 @@ def test_a_track_is_continued_filled_and_stepped_through(desk: Desk, wait_for) -
     desk.press("i")
     expect(page.get_by_test_id("track-count")).to_have_text("This proposes 2 boxes in place of 2 other proposals.")
     page.get_by_test_id("track-refit").check()
-    expect(page.get_by_test_id("track-count")).to_have_text("This proposes 2 boxes in place of 2 other proposals.")
     page.keyboard.press("Enter")
     has_boxes(page, 4)
     # they are fitted in the background
@@ -370,6 +369,23 @@ def test_a_reviewed_box_is_followed_and_the_page_goes_to_the_first_new_box(
     expect(page.get_by_test_id("follow")).to_be_hidden()
     for frame in project.frames.of()[1:]:
         assert [label for label in project.labels.of_frame(frame.id) if label.track_id == truth.track_id] == []
+
+    # an operator on the way to another frame is not taken back
+    show(desk, 0, uid)
+    desk.press("v")
+    expect(title).to_have_text("Following forward with the project's detector")
+    held, later = [], project.frames.of()[3].id
+    page.route(f"**/frames/{later}", lambda route: held.append(route))
+    with page.expect_request(f"**/frames/{later}"):
+        page.evaluate("(hash) => (location.hash = hash)", f"#/{desk.name}/annotate/{later}")
+    following_gate.release(4)
+    expect(page.get_by_test_id("followed")).to_contain_text("4 boxes")
+    held[0].continue_()
+    expect(page.get_by_test_id("frame-position")).to_have_text("4 / 5")
+    page.unroute(f"**/frames/{later}")
+    # undoing shows what is undone
+    desk.press("Control+z")
+    expect(page.get_by_test_id("frame-position")).to_have_text("2 / 5")
 
     # on the contact sheet, one click accepts what is before a wrong box and opens it
     show(desk, 0, uid)

@@ -9,11 +9,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from live_server import wait_until
 from scipy.spatial.transform import Rotation
 
+from annotator.image_bytes import decode_image
 from annotator.project import NewLabel, Project, StoredFrame, WriteContext, create_project
 from annotator.project.changes import LabelChanged, TracksLinked
 from annotator.project.classes import edit
@@ -426,6 +428,18 @@ def test_a_frame_is_read_once_the_next_ahead_and_as_many_kept_as_memory_allows(
     for index in (0, 1, 0, 1, 2, 0):
         small.read(people, ids[index])
     assert reads == ["000000", "000001", "000002", "000000"]
+
+
+def test_small_pictures_need_no_points(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache, ids = FrameCache(), [stored.id for stored in people.frames.of()]
+    of_whole = np.asarray(cache.read(people, ids[0]).rgb)
+    cache.close()
+    cache = FrameCache()
+    monkeypatch.setattr(RgbdFolder, "frame", lambda *_: pytest.fail("a whole frame was read"))
+    small = decode_image(cache.small(people, ids[0], 640), cv2.IMREAD_COLOR)
+    assert small.shape == of_whole.shape
+    assert np.abs(small[..., ::-1].astype(int) - of_whole).mean() < 10, "as a JPEG"
+    cache.close()
 
 
 def test_a_result_is_computed_once_and_again_after_an_error() -> None:

@@ -2,11 +2,6 @@
 
 import { button, h, iconButton } from "../dom.js";
 
-/**
- * @typedef {Record<"accept" | "reject" | "remove" | "refit" | "turn" | "copy" | "follow" | "draw" | "finalise",
- *     () => unknown> & { gizmo: (mode: Api.Gizmo) => void, teach: (on: boolean) => void }} Act
- */
-
 /** @type {[Api.Gizmo, string, string][]} */
 const GIZMOS = [
   ["translate", "Move", "T"],
@@ -16,36 +11,39 @@ const GIZMOS = [
 
 /**
  * @param {HTMLElement} host
- * @param {Act} act what each button does.
+ * @param {Record<string, (event: Event, key: string) => unknown>} act what the keys do, by their rows of the table.
+ * @param {(on: boolean) => void} teach shows the pseudo-views, or the views along the box.
  */
-export function createActions(host, act) {
+export function createActions(host, act, teach) {
   const action = (
-    /** @type {Exclude<keyof Act, "gizmo" | "remove" | "teach">} */ id,
+    /** @type {string} */ id,
     /** @type {string | HTMLElement} */ text,
     /** @type {string} */ key,
     /** @type {string} */ kind = "",
   ) =>
-    button([text, h("kbd", {}, key)], () => act[id](), {
+    button([text, h("kbd", key)], (event) => act[id](event, ""), {
       class: kind,
       title: `${typeof text === "string" ? text : text.textContent} (${key})`,
-      "data-testid": `act-${id}`,
+      "data-testid": `act-${id.split("-")[0]}`,
     });
-  const word = h("span", {}, "Accept");
+  const word = h("span", "Accept");
   const accept = action("accept", word, "Space", "primary");
   const reject = action("reject", "Reject", "X");
   const refit = action("refit", "Fit again", "G");
   const turn = action("turn", "Turn", "F");
   turn.title = "Turn the heading by 180° (F), or by 90° (Shift F)";
-  const copy = action("copy", "Copy previous", "C");
+  const copy = action("copy-previous", "Copy previous", "C");
   const follow = action("follow", "Follow", "V");
-  const draw = action("draw", "New box", "B");
-  const remove = iconButton("trash", "Delete the box (Del)", () => act.remove(), { "data-testid": "act-delete" });
-  const finalise = button([], () => act.finalise(), { "data-testid": "act-finalise" });
+  const draw = action("draw-box", "New box", "B");
+  const remove = iconButton("trash", "Delete the box (Del)", (event) => act.delete(event, ""), {
+    "data-testid": "act-delete",
+  });
+  const finalise = button([], (event) => act.finalise(event, ""), { "data-testid": "act-finalise" });
   const gizmo = h(
-    "div",
-    { class: "segments", role: "group", "aria-label": "Gizmo in the 3D view" },
+    "div.segments",
+    { role: "group", "aria-label": "Gizmo in the 3D view" },
     GIZMOS.map(([mode, text, key]) =>
-      button([text, h("kbd", {}, key)], () => act.gizmo(mode), {
+      button([text, h("kbd", key)], (event) => act[`gizmo-${mode}`](event, ""), {
         "data-mode": mode,
         title: `Gizmo: ${text.toLowerCase()} (${key})`,
         "data-testid": `gizmo-${mode}`,
@@ -53,7 +51,7 @@ export function createActions(host, act) {
     ),
   );
   const views = [false, true].map((on) =>
-    button(on ? ["Pseudo-views", h("kbd", {}, "D")] : "Along the box", () => act.teach(on), {
+    button(on ? ["Pseudo-views", h("kbd", "D")] : "Along the box", () => teach(on), {
       title: on
         ? "The views that teach the detectors, with their 2D boxes (D)"
         : "Three views along the box's axes (D)",
@@ -64,12 +62,12 @@ export function createActions(host, act) {
     accept,
     reject,
     remove,
-    h("span", { class: "divider" }),
+    h("span.divider"),
     refit,
     turn,
-    h("span", { class: "divider" }),
-    h("div", { class: "segments", role: "group", "aria-label": "Views of the object" }, views),
-    h("span", { class: "grow" }),
+    h("span.divider"),
+    h("div.segments", { role: "group", "aria-label": "Views of the object" }, views),
+    h("span.grow"),
     draw,
     copy,
     follow,

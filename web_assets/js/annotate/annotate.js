@@ -40,8 +40,8 @@ const WIDE_ASPECT = 1.9;
 
 /** For a key that acts on one box only: while it is held down, it does not act on the following ones. */
 const once =
-  (/** @type {(key: string) => unknown} */ fn) => (/** @type {KeyboardEvent} */ event, /** @type {string} */ key) => {
-    if (!event.repeat) fn(key);
+  (/** @type {(key: string) => unknown} */ fn) => (/** @type {Event} */ event, /** @type {string} */ key) => {
+    if (!(event instanceof KeyboardEvent && event.repeat)) fn(key);
   };
 
 export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
@@ -96,7 +96,8 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   const follow = createFollow(parts.track, app, desk, {
     open: go,
     onFirst(target) {
-      if (sheet.again()) return;
+      // the operator is on the way to another frame, or draws here
+      if (opening.loading || image.isBusy || desk.shown?.isNew || sheet.again()) return;
       // what is open here comes first
       if (desk.labels().some(isOpen)) opening.pick(null);
       else void goInQueue(target);
@@ -140,11 +141,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     set: desk.setValues,
     setClass: (label) => desk.shown !== null && void desk.edit({ label }),
   });
-  /**
-   * The labels before an undo.
-   *
-   * @type {{ frame: number, labels: Map<string, string> } | null}
-   */
+  /** The labels before an undo. @type {{ frame: number, labels: Map<string, string> } | null} */
   let seen = null;
 
   const commands = createCommands(app, {
@@ -159,22 +156,62 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     picker,
     root: parts.root,
   });
-  const actions = createActions(parts.actions, {
-    ...commands,
-    accept: () => commands.decide("accept"),
-    reject: () => commands.decide("reject"),
-    remove: () => commands.decide("delete"),
-    turn: () => commands.turn(2),
-    gizmo: setGizmo,
-    follow: () => commands.followOne("forward"),
-    teach: teach.turn,
-  });
-  const topView = button(["Top view", h("kbd", {}, "M")], () => turnMap(true), {
+  /** What the keys do, and the buttons. @type {Record<string, (event: Event, key: string) => unknown>} */
+  const bindings = {
+    accept: once(() => commands.decide("accept")),
+    "accept-all": once(() => commands.whenCalm(commands.acceptAll)),
+    reject: once(() => commands.decide("reject")),
+    delete: once(() => commands.decide("delete")),
+    refit: once(commands.refit),
+    turn: once(() => commands.turn(2)),
+    "turn-quarter": once(() => commands.turn(1)),
+    class: (/** @type {Event} */ _, /** @type {string} */ key) =>
+      commands.setClass(app.state.project.classes[Number(key) - 1]),
+    "class-search": once(async () => commands.setClass(await askClass(app))),
+    attribute: (/** @type {Event} */ _, /** @type {string} */ key) => attributes.press(key),
+    cancel: commands.cancel,
+    finalise: once(() => commands.whenCalm(commands.finalise)),
+    "copy-previous": once(() => commands.whenCalm(commands.copy)),
+    follow: once(() => commands.followOne("forward")),
+    "follow-back": once(() => commands.followOne("backward")),
+    "follow-all": once(() => commands.followAll("forward")),
+    "follow-all-back": once(() => commands.followAll("backward")),
+    "copy-next": once(() => commands.whenCalm(() => tracks.copyToNext())),
+    ...Object.fromEntries(
+      Object.entries(OPERATIONS)
+        .filter(([, { key }]) => key)
+        .map(([id]) => [`track-${id}`, once((key) => commands.whenCalm(() => tracks.operate(id, key)))]),
+    ),
+    sheet: once(() => commands.whenCalm(sheet.show)),
+    "next-of-track": once(() => commands.whenCalm(() => tracks.step(1))),
+    "previous-of-track": once(() => commands.whenCalm(() => tracks.step(-1))),
+    "next-box": () => commands.stepBox(1),
+    "previous-box": () => commands.stepBox(-1),
+    "next-camera": once(() => commands.whenCalm(commands.nextCamera)),
+    "next-frame": () => opening.step("next"),
+    "previous-frame": () => opening.step("previous"),
+    "draw-box": once(commands.draw),
+    "gizmo-translate": () => setGizmo("translate"),
+    "gizmo-rotate": () => setGizmo("rotate"),
+    "gizmo-off": () => setGizmo("off"),
+    fit: () => {
+      image.fit();
+      map.fit();
+      ortho.fit();
+      teach.fit();
+    },
+    areas: once(areas.swap),
+    "top-view": once(() => turnMap(!map.isShown)),
+    teach: once(() => teach.turn(!teach.isOn)),
+    "next-whole-box": once(() => teach.nextWhole()),
+  };
+  const actions = createActions(parts.actions, bindings, teach.turn);
+  const topView = button(["Top view", h("kbd", "M")], () => turnMap(true), {
     class: "quiet small",
     title: "A map: click to place a box, drag to move it (M)",
     "data-testid": "show-map",
   });
-  parts.sceneHead.append(h("h2", {}, "3D view"), actions.gizmo, h("span", { class: "grow" }), topView);
+  parts.sceneHead.append(h("h2", "3D view"), actions.gizmo, h("span.grow"), topView);
 
   // -- showing
 
@@ -249,58 +286,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     void ortho.show();
   }
 
-  /** What the keys do. */
-  function bindings() {
-    return {
-      accept: once(() => commands.decide("accept")),
-      "accept-all": once(() => commands.whenCalm(commands.acceptAll)),
-      reject: once(() => commands.decide("reject")),
-      delete: once(() => commands.decide("delete")),
-      refit: once(commands.refit),
-      turn: once(() => commands.turn(2)),
-      "turn-quarter": once(() => commands.turn(1)),
-      class: (/** @type {KeyboardEvent} */ _, /** @type {string} */ key) =>
-        commands.setClass(app.state.project.classes[Number(key) - 1]),
-      "class-search": once(async () => commands.setClass(await askClass(app))),
-      attribute: (/** @type {KeyboardEvent} */ _, /** @type {string} */ key) => attributes.press(key),
-      cancel: commands.cancel,
-      finalise: once(() => commands.whenCalm(commands.finalise)),
-      "copy-previous": once(() => commands.whenCalm(commands.copy)),
-      follow: once(() => commands.followOne("forward")),
-      "follow-back": once(() => commands.followOne("backward")),
-      "follow-all": once(() => commands.followAll("forward")),
-      "follow-all-back": once(() => commands.followAll("backward")),
-      "copy-next": once(() => commands.whenCalm(() => tracks.copyToNext())),
-      ...Object.fromEntries(
-        Object.entries(OPERATIONS)
-          .filter(([, { key }]) => key)
-          .map(([id]) => [`track-${id}`, once((key) => commands.whenCalm(() => tracks.operate(id, key)))]),
-      ),
-      sheet: once(() => commands.whenCalm(sheet.show)),
-      "next-of-track": once(() => commands.whenCalm(() => tracks.step(1))),
-      "previous-of-track": once(() => commands.whenCalm(() => tracks.step(-1))),
-      "next-box": () => commands.stepBox(1),
-      "previous-box": () => commands.stepBox(-1),
-      "next-camera": once(() => commands.whenCalm(commands.nextCamera)),
-      "next-frame": () => opening.step("next"),
-      "previous-frame": () => opening.step("previous"),
-      "draw-box": once(commands.draw),
-      "gizmo-translate": () => setGizmo("translate"),
-      "gizmo-rotate": () => setGizmo("rotate"),
-      "gizmo-off": () => setGizmo("off"),
-      fit: () => {
-        image.fit();
-        map.fit();
-        ortho.fit();
-        teach.fit();
-      },
-      areas: once(areas.swap),
-      "top-view": once(() => turnMap(!map.isShown)),
-      teach: once(() => teach.turn(!teach.isOn)),
-      "next-whole-box": once(() => teach.nextWhole()),
-    };
-  }
-
   const stop = [
     desk.on((what) => {
       if (what === "saving") {
@@ -340,19 +325,18 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     app.events.on("classes", ({ renamed }) => {
       desk.rename(renamed);
       teach.rename(renamed);
-      queue.reloadSoon();
-      desk.refresh().catch(app.toast);
+      catchUp();
     }),
-    app.events.on("frame", () => {
-      queue.reloadSoon();
-      desk.refresh().catch(app.toast);
-    }),
-    app.events.on("reconnected", () => {
-      queue.reloadSoon();
-      desk.refresh().catch(app.toast);
-    }),
-    app.keys.register(bindings()),
+    app.events.on("frame", catchUp),
+    app.events.on("reconnected", catchUp),
+    app.keys.register(bindings),
   ];
+
+  /** Others have saved something. */
+  function catchUp() {
+    queue.reloadSoon();
+    desk.refresh().catch(app.toast);
+  }
 
   /** Selects the label that an undo or redo has changed. */
   function selectWhatWasUndone(/** @type {FrameState} */ frame) {
@@ -381,8 +365,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       else if (track !== null) opening.pick(null, track);
     },
     unsaved() {
-      const own = desk.unsaved && { ...desk.unsaved, retry: desk.retryAll, discard: desk.discardAll };
-      const all = [teach.unsaved, own].filter((one) => one !== null);
+      const all = [teach.unsaved, desk.unsaved].filter((one) => one !== null);
       if (all.length === 0) return null;
       return {
         text: all.map(({ text }) => text).join(" "),
@@ -426,52 +409,40 @@ const fingerprint = (/** @type {PageLabel} */ { state, label, track_id, box }) =
 export function layout() {
   const part = (/** @type {string} */ name, /** @type {string} */ label) =>
     h("section", { class: `panel ${name}`, "aria-label": label });
-  const queue = part("queue", "Queue");
-  const boxes = part("of-frame", "Boxes of this frame");
-  const classes = part("next-class", "Class of the next box");
-  const image = part("image", "Camera image");
-  const scene = part("scene", "3D view");
-  const sceneHead = h("header", {});
-  scene.append(sceneHead);
-  const map = part("scene", "Top view");
-  const ortho = h("div", { class: "orthos", "data-testid": "orthos" });
-  const object = h("div", { class: "object" }, ortho);
-  const problem = h("span", {});
-  const fields = part("fields", "Selected box");
-  const track = h("div", { class: "of-track" });
-  const actions = h("div", { class: "actions", role: "toolbar", "aria-label": "Actions" });
-  const saving = h("span", { class: "muted", role: "status", "data-testid": "saving" });
-  const hint = h("span", { class: "ellipsis", role: "status", "data-testid": "image-note" });
-  const root = h(
-    "div",
-    { class: "annotate" },
-    h("h1", { class: "visually-hidden" }, "Annotate"),
-    h("div", { class: "lists" }, queue, boxes, classes),
-    image,
-    scene,
-    map,
-    h("div", { class: "bar" }, actions),
-    object,
-    h("div", { class: "numbers" }, fields, track),
-  );
-  return {
-    root,
-    hint,
-    queue,
-    boxes,
-    track,
-    classes,
-    image,
-    scene,
-    sceneHead,
-    map,
-    object,
-    ortho,
-    fields,
-    actions,
-    saving,
-    problem,
+  const status = (/** @type {string} */ name, /** @type {string} */ id) =>
+    h("span", { class: name, role: "status", "data-testid": id });
+  const parts = {
+    queue: part("queue", "Queue"),
+    boxes: part("of-frame", "Boxes of this frame"),
+    classes: part("next-class", "Class of the next box"),
+    image: part("image", "Camera image"),
+    scene: part("scene", "3D view"),
+    sceneHead: h("header"),
+    map: part("scene", "Top view"),
+    actions: h("div.actions", { role: "toolbar", "aria-label": "Actions" }),
+    object: h("div.object"),
+    ortho: h("div.orthos", { "data-testid": "orthos" }),
+    fields: part("fields", "Selected box"),
+    track: h("div.of-track"),
+    // in the line of messages
+    problem: h("span"),
+    hint: status("ellipsis", "image-note"),
+    saving: status("muted", "saving"),
   };
+  parts.scene.append(parts.sceneHead);
+  parts.object.append(parts.ortho);
+  const root = h(
+    "div.annotate",
+    h("h1.visually-hidden", "Annotate"),
+    h("div.lists", parts.queue, parts.boxes, parts.classes),
+    parts.image,
+    parts.scene,
+    parts.map,
+    h("div.bar", parts.actions),
+    parts.object,
+    h("div.numbers", parts.fields, parts.track),
+  );
+  return { ...parts, root };
 }
 
 /** Shown in place of the panels if the project has no frame. */
@@ -483,12 +454,11 @@ export function emptyProject(/** @type {ModeApp} */ app) {
     app.go(location.hash);
   };
   return h(
-    "div",
-    { class: "empty", "data-testid": "no-frames" },
-    h("h2", {}, `${name} has no recording yet`),
+    "div.empty",
+    { "data-testid": "no-frames" },
+    h("h2", `${name} has no recording yet`),
     h(
       "p",
-      {},
       "A recording is a folder or file of images and depth, of point clouds, or of both. Its files stay where they are.",
     ),
     button("Add recordings", add, { class: "primary" }),

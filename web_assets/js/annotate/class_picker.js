@@ -5,10 +5,7 @@ import { h } from "../dom.js";
 
 export function createNextClass(/** @type {HTMLElement} */ host, /** @type {ModeApp} */ app) {
   const buttons = createClassPicker(app, pick);
-  host.append(
-    h("header", {}, h("h2", { class: "grow ellipsis" }, "Class of the next box"), buttons.tools),
-    buttons.root,
-  );
+  host.append(h("header", h("h2.grow.ellipsis", "Class of the next box"), buttons.tools), buttons.root);
   /** @type {string | null} */
   let picked = null;
 

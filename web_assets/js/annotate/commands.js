@@ -56,11 +56,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     return openHere(label.uid);
   }
 
-  /**
-   * The most doubtful open box of the frame, but not this one.
-   *
-   * @returns {Target | null}
-   */
+  /** The most doubtful open box of the frame, but not this one. @returns {Target | null} */
   function openHere(/** @type {string | null} */ but = null) {
     const open = mostDoubtful(desk.labels().filter((one) => isOpen(one) && one.uid !== but));
     return open ? { frame: currentFrame(app).frame.id, uid: open.uid } : null;

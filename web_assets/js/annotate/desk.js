@@ -20,17 +20,9 @@ export const isOpen = (/** @type {{ state: Api.ReviewState }} */ label) => label
 export function createDesk(/** @type {App} */ app) {
   /** @type {Set<(what: DeskEvent) => unknown>} */
   const listeners = new Set();
-  /**
-   * Drafts by uid, of boxes of the frame `home`.
-   *
-   * @type {Map<string | null, LabelDraft>}
-   */
+  /** Drafts by uid, of boxes of the frame `home`. @type {Map<string | null, LabelDraft>} */
   const drafts = new Map();
-  /**
-   * New boxes by uid, of the same frame.
-   *
-   * @type {Map<string | null, NewLabel>}
-   */
+  /** New boxes by uid, of the same frame. @type {Map<string | null, NewLabel>} */
   const added = new Map();
   let number = 0;
   /** @type {number | null} */
@@ -262,11 +254,7 @@ export function createDesk(/** @type {App} */ app) {
     return draft ? save(id, draft) : Promise.resolve(true);
   }
 
-  /**
-   * A label as shown: with its draft's box, class and track.
-   *
-   * @returns {PageLabel}
-   */
+  /** A label as shown: with its draft's box, class and track. @returns {PageLabel} */
   function seen(/** @type {PageLabel} */ label) {
     const draft = drafts.get(label.uid);
     return draft ? { ...label, ...draft.wanted } : label;
@@ -331,7 +319,7 @@ export function createDesk(/** @type {App} */ app) {
       notify("selection");
     },
 
-    /** What would be lost if the page were left now; null if everything is saved. */
+    /** What would be lost if the page were left now; null if everything is saved. @returns {Unsaved | null} */
     get unsaved() {
       const changed = [...drafts.keys()].filter((id) => !added.has(id)).length;
       if (changed === 0 && added.size === 0 && waiting === 0) return null;
@@ -341,7 +329,15 @@ export function createDesk(/** @type {App} */ app) {
         added.size && count(added.size, "new box, not accepted yet", "new boxes, not accepted yet"),
         changed === 0 && added.size === 0 && "what is being sent",
       ];
-      return { text: `Not saved: ${what.filter(Boolean).join(", ")}. ${[...new Set(problems)].join(" ")}`.trim() };
+      return {
+        text: `Not saved: ${what.filter(Boolean).join(", ")}. ${[...new Set(problems)].join(" ")}`.trim(),
+        retry: () => Promise.all([...new Set([...drafts.keys(), ...added.keys()])].map(retry)),
+        discard() {
+          forget();
+          if (!stored()) uid = null;
+          notify("frame");
+        },
+      };
     },
 
     /** Calls `fn(what)` after changes. Returns a function that removes this listener. */
@@ -387,13 +383,6 @@ export function createDesk(/** @type {App} */ app) {
 
     /** Saves a box that could not be saved or is not accepted. */
     retry: (id = uid) => retry(id),
-    retryAll: () => Promise.all([...new Set([...drafts.keys(), ...added.keys()])].map(retry)),
-    discardAll() {
-      forget();
-      if (!stored()) uid = null;
-      notify("frame");
-    },
-
     /** Accepts, rejects or deletes a label. */
     async decide(/** @type {"accept" | "reject" | "delete"} */ kind, /** @type {string} */ id) {
       const entry = added.get(id);

@@ -35,11 +35,7 @@ export function drawnObject(/** @type {Draft} */ { item, kept }) {
   return { image_box: plainBox(item.image_box), boxes, axes: isDrawn ? secondAxes(item) : null };
 }
 
-/**
- * The drawn box on each view, or else the suggested one.
- *
- * @returns {ViewBox[]}
- */
+/** The drawn box on each view, or else the suggested one. @returns {ViewBox[]} */
 export const filledBoxes = (/** @type {Draft} */ { item, suggestions }) =>
   item.boxes.map((box, index) => box ?? suggestions[index]);
 
@@ -64,11 +60,7 @@ export function createAsk(app, kind) {
  * changed. It resolves to false if a newer call for the same object has replaced it, or `stop(item)` has cancelled it.
  */
 export function createStepLoader(/** @type {AskSteps} */ ask) {
-  /**
-   * Item -> its request.
-   *
-   * @type {Map<Item, AbortController>}
-   */
+  /** Item -> its request. @type {Map<Item, AbortController>} */
   const requests = new Map();
 
   async function load(/** @type {Draft} */ draft, /** @type {boolean} */ suggest) {

@@ -5,22 +5,44 @@ import { button, count, h, leaveField, patch } from "../dom.js";
 import { jumpText } from "../heading_mark.js";
 import { OWN } from "./queue.js";
 
-const CENTER = [
-  ["x", "to the right of the camera"],
-  ["y", "below the camera"],
-  ["z", "in front of the camera"],
-];
-const SIZE = [
-  ["length", "along the heading"],
-  ["width", "across the heading"],
-  ["height", "along the box's z axis"],
-];
-/** @type {[keyof Angles, string][]} */
-const ANGLES = [
-  ["yaw", "about the scene's up direction; 0° points away from the camera"],
-  ["pitch", "a positive angle lowers the front"],
-  ["roll", "about the heading"],
-];
+/** A number of a box's centre or size, metres. */
+const metres = (/** @type {"center" | "size"} */ key, /** @type {number} */ i, least = -Infinity) => ({
+  ...{ unit: "m", step: 0.01, digits: 3 },
+  get: (/** @type {Box3D} */ box) => box[key][i],
+  set: (/** @type {Box3D} */ box, /** @type {number} */ value) => ({
+    ...box,
+    [key]: box[key].with(i, Math.max(value, least)),
+  }),
+});
+/** An angle of a box. */
+const degrees = (/** @type {keyof Angles} */ name) => ({
+  ...{ unit: "°", step: 1, digits: 1 },
+  get: (/** @type {Box3D} */ box, /** @type {Vector | null} */ up) => anglesDeg(box, up)[name],
+  set: (/** @type {Box3D} */ box, /** @type {number} */ value, /** @type {Vector | null} */ up) =>
+    withAnglesDeg(box, up, { ...anglesDeg(box, up), [name]: value }),
+});
+/**
+ * The numbers of a box, in groups: test id, name, help, and how it is read and written.
+ *
+ * @type {Record<string, [string, string, string, ReturnType<typeof metres> | ReturnType<typeof degrees>][]>}
+ */
+const NUMBERS = {
+  Centre: [
+    ["center-x", "x", "to the right of the camera", metres("center", 0)],
+    ["center-y", "y", "below the camera", metres("center", 1)],
+    ["center-z", "z", "in front of the camera", metres("center", 2)],
+  ],
+  Size: [
+    ["size-length", "length", "along the heading", metres("size", 0, MIN_SIZE_M)],
+    ["size-width", "width", "across the heading", metres("size", 1, MIN_SIZE_M)],
+    ["size-height", "height", "along the box's z axis", metres("size", 2, MIN_SIZE_M)],
+  ],
+  Rotation: [
+    ["yaw", "yaw", "about the scene's up direction; 0° points away from the camera", degrees("yaw")],
+    ["pitch", "pitch", "a positive angle lowers the front", degrees("pitch")],
+    ["roll", "roll", "about the heading", degrees("roll")],
+  ],
+};
 
 export function createFields(
   /** @type {HTMLElement} */ host,
@@ -31,49 +53,35 @@ export function createFields(
   const inputs = {};
   /** @type {Record<string, HTMLElement>} */
   const names = {};
-  /**
-   * The field that is being typed in.
-   *
-   * @type {HTMLInputElement | null}
-   */
+  /** The field that is being typed in. @type {HTMLInputElement | null} */
   let typed = null;
   /** @type {string | null} */
   let shownUid = null;
-  const title = h("h2", { class: "ellipsis" }, "Box");
-  const chip = h("span", { class: "chip", "data-testid": "label-state" });
-  const facts = h("dl", { class: "facts", "data-testid": "label-facts" });
-  const problem = h("div", {
-    class: "error-box",
-    role: "alert",
-    hidden: true,
-    "data-testid": "not-saved",
-  });
-  const attributes = h("fieldset", { class: "wide", hidden: true, "data-testid": "attributes" });
-  const form = h("form", { class: "box-fields", "data-testid": "fields" });
-  const advice = h("p", {});
-  const nothing = h("div", { class: "empty" }, advice);
-  host.replaceChildren(h("header", {}, title, h("span", { class: "grow" }), chip), problem, form, nothing);
+  const title = h("h2.ellipsis", "Box");
+  const chip = h("span.chip", { "data-testid": "label-state" });
+  const facts = h("dl.facts", { "data-testid": "label-facts" });
+  const problem = h("div.error-box", { role: "alert", hidden: true, "data-testid": "not-saved" });
+  const attributes = h("fieldset.wide", { hidden: true, "data-testid": "attributes" });
+  const form = h("form.box-fields", { "data-testid": "fields" });
+  const advice = h("p");
+  const nothing = h("div.empty", advice);
+  host.replaceChildren(h("header", title, h("span.grow"), chip), problem, form, nothing);
 
-  function number(
-    /** @type {string} */ name,
-    /** @type {string} */ label,
-    /** @type {string} */ help,
-    /** @type {string} */ unit,
-    /** @type {number} */ step,
-    /** @type {(value: number) => void} */ change,
-  ) {
+  /** @param {typeof NUMBERS[string][number]} one */
+  function number([id, name, help, { unit, step, set }]) {
     /** @type {HTMLInputElement} */
     const input = h("input", {
       type: "number",
       step,
-      "aria-label": `${label} in ${unit}`,
-      title: `${label}: ${help}`,
-      "data-testid": `field-${name}`,
+      "aria-label": `${name} in ${unit}`,
+      title: `${name}: ${help}`,
+      "data-testid": `field-${id}`,
       // a click selects the old number, so that typing replaces it
       onfocus: () => input.select(),
       oninput: () => {
         typed = input;
-        if (Number.isFinite(input.valueAsNumber)) change(input.valueAsNumber);
+        if (desk.shown && Number.isFinite(input.valueAsNumber))
+          desk.preview({ box: set(copyBox(desk.shown.box), input.valueAsNumber, up()) });
       },
       onchange: () => leave(input),
       onkeydown: (event) => {
@@ -82,9 +90,9 @@ export function createFields(
         abandon();
       },
     });
-    inputs[name] = input;
-    names[name] = h("span", {}, label);
-    return h("label", { class: "number-field" }, names[name], input, h("span", { class: "unit" }, unit));
+    inputs[id] = input;
+    names[id] = h("span", name);
+    return h("label.number-field", names[id], input, h("span.unit", unit));
   }
 
   // Typing changes the box on the screen; leaving the field or pressing Enter saves that as one edit.
@@ -101,11 +109,6 @@ export function createFields(
     else show();
   }
 
-  function setBox(/** @type {(box: Box3D) => Box3D} */ change) {
-    if (desk.shown) desk.preview({ box: change(copyBox(desk.shown.box)) });
-  }
-  const place = (/** @type {number[]} */ list, /** @type {number} */ i, /** @type {number} */ value) =>
-    list.map((old, k) => (k === i ? value : old));
   const choice = h("select", {
     "aria-label": "Class",
     "data-testid": "field-class",
@@ -141,43 +144,11 @@ export function createFields(
   /** @type {HTMLElement[]} */
   const ofBox = [
     h(
-      "fieldset",
-      { class: "wide" },
-      h("label", { class: "number-field" }, h("span", {}, "Class"), choice),
-      h("label", { class: "number-field" }, h("span", {}, "Track"), track),
+      "fieldset.wide",
+      h("label.number-field", h("span", "Class"), choice),
+      h("label.number-field", h("span", "Track"), track),
     ),
-    group(
-      "Centre",
-      CENTER.map(([name, help], i) =>
-        number(`center-${name}`, name, help, "m", 0.01, (value) =>
-          setBox((old) => ({ ...old, center: place(old.center, i, value) })),
-        ),
-      ),
-    ),
-    group(
-      "Size",
-      SIZE.map(([name, help], i) =>
-        number(`size-${name}`, name, help, "m", 0.01, (value) =>
-          setBox((old) => ({
-            ...old,
-            size: place(old.size, i, Math.max(value, MIN_SIZE_M)),
-          })),
-        ),
-      ),
-    ),
-    group(
-      "Rotation",
-      ANGLES.map(([name, help]) =>
-        number(name, name, help, "°", 1, (value) =>
-          setBox((old) =>
-            withAnglesDeg(old, up(), {
-              ...anglesDeg(old, up()),
-              [name]: value,
-            }),
-          ),
-        ),
-      ),
-    ),
+    ...Object.entries(NUMBERS).map(([name, all]) => h("fieldset", h("legend", name), all.map(number))),
   ];
   form.append(...ofBox, attributes, facts);
   ofBox.push(facts);
@@ -207,10 +178,9 @@ export function createFields(
     if (!why) return;
     patch(
       problem,
-      h("p", {}, `Not saved. ${why}`),
+      h("p", `Not saved. ${why}`),
       h(
-        "div",
-        { class: "row" },
+        "div.row",
         button("Try again", () => void desk.retry(), { "data-testid": "draft-retry" }),
         button("Discard", () => desk.revert(), { "data-testid": "draft-discard" }),
       ),
@@ -233,14 +203,7 @@ export function createFields(
     const state = desk.hasDraft ? "not saved" : label.isNew ? "new" : label.state;
     chip.textContent = state;
     chip.className = `chip state-${label.state}`;
-    const turn = anglesDeg(label.box, up());
-    CENTER.forEach(([name], i) => {
-      put(`center-${name}`, label.box.center[i], 3);
-    });
-    SIZE.forEach(([name], i) => {
-      put(`size-${name}`, label.box.size[i], 3);
-    });
-    for (const [name] of ANGLES) put(name, turn[name], 1);
+    for (const [id, , , { get, digits }] of Object.values(NUMBERS).flat()) put(id, get(label.box, up()), digits);
     const jump = jumpText(label);
     names.yaw.textContent = jump || "yaw";
     names.yaw.className = jump ? "bad" : "";
@@ -252,10 +215,6 @@ export function createFields(
   }
 
   return { show, fill, attributes };
-}
-
-function group(/** @type {string} */ name, /** @type {Node[]} */ fields) {
-  return h("fieldset", {}, h("legend", {}, name), fields);
 }
 
 const percent = (/** @type {number | null | undefined} */ value) =>
@@ -283,7 +242,7 @@ function describe(/** @type {PageLabel} */ label) {
     ],
   ];
   const facts = rows.map(([name, value, help]) =>
-    h("div", { title: `${name}: ${value}, ${help}` }, h("dt", {}, name), h("dd", { class: "number ellipsis" }, value)),
+    h("div", { title: `${name}: ${value}, ${help}` }, h("dt", name), h("dd.number.ellipsis", value)),
   );
   const wide = [];
   if (measured) wide.push(["Measured by", measured]);
@@ -291,7 +250,7 @@ function describe(/** @type {PageLabel} */ label) {
     wide.push(["Suggested by", `${suggestion.detector}${suggestion.corrected ? " (partly drawn or corrected)" : ""}`]);
   if (label.kept) wide.push(["Stays", "until it is reviewed: attributes were set by hand"]);
   if (label.said.length) wide.push(["Said by", label.said.map(words).join(", ")]);
-  return [...facts, ...wide.map(([name, who]) => h("div", { class: "wide" }, h("dt", {}, name), h("dd", {}, who)))];
+  return [...facts, ...wide.map(([name, who]) => h("div.wide", h("dt", name), h("dd", who)))];
 }
 
 /** Whose score a label has: of several sources, that of the shown box. */

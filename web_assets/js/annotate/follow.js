@@ -20,24 +20,20 @@ const closed = new Set();
  * @param {{ open: (target: Target) => unknown, onFirst: (target: Target) => unknown }} options
  */
 export function createFollow(host, app, desk, { open, onFirst }) {
-  const title = h("span", { class: "grow", "data-testid": "follow-title" });
+  const title = h("span.grow", { "data-testid": "follow-title" });
   const bar = h("progress", { max: 1, "aria-label": "Progress" });
   const stop = button("Stop", () => void end(), { class: "danger", "data-testid": "follow-stop" });
   const close = iconButton("close", "Close", () => hide(), { "data-testid": "follow-close" });
-  const list = h("ul", { class: "followed" });
+  const list = h("ul.followed");
   const body = h(
-    "div",
-    { class: "follow", hidden: true, role: "status", "data-testid": "follow" },
-    h("div", { class: "row pad" }, title, stop, close),
+    "div.follow",
+    { hidden: true, role: "status", "data-testid": "follow" },
+    h("div.row.pad", title, stop, close),
     bar,
     list,
   );
   host.append(body);
-  /**
-   * The latest run.
-   *
-   * @type {Api.FollowRunJson | null}
-   */
+  /** The latest run. @type {Api.FollowRunJson | null} */
   let run = null;
   /**
    * The frame where the operator has just begun to follow, and the number of the run once it is known.
@@ -104,7 +100,7 @@ export function createFollow(host, app, desk, { open, onFirst }) {
     bar.value = run.total > 0 ? run.done / run.total : 1;
     patch(
       list,
-      run.message ? h("li", { class: "bad" }, run.message) : null,
+      run.message ? h("li.bad", run.message) : null,
       run.tracks.map((track) => trackRow(track, reached(present, track), open)),
     );
   }
@@ -173,9 +169,9 @@ function reached(/** @type {Api.FollowRunJson} */ run, /** @type {Api.FollowedTr
 function trackRow(track, end, open) {
   const name = track.track_id === null ? track.label : `Track ${track.track_id} (${track.label})`;
   const left = track.doubtful > 0 ? `, ${count(track.doubtful, "doubtful frame")} left out` : "";
-  const text = h("span", { class: "grow" }, `${name}: ${count(track.boxes, "box", "boxes")}${left}${end}`);
+  const text = h("span.grow", `${name}: ${count(track.boxes, "box", "boxes")}${left}${end}`);
   // the colours of tracks are too light for text
-  const dot = h("span", { class: "dot" });
+  const dot = h("span.dot");
   dot.style.background = trackColor(track.track_id);
   text.prepend(dot);
   return h(
@@ -183,7 +179,7 @@ function trackRow(track, end, open) {
     { "data-testid": "followed" },
     text,
     ...track.stops.map((at) =>
-      button([h("b", {}, `${at.key} →`), ` ${at.reason}`], () => open({ frame: at.frame_id, uid: null }), {
+      button([h("b", `${at.key} →`), ` ${at.reason}`], () => open({ frame: at.frame_id, uid: null }), {
         class: "stop",
         title: "Go to this frame and correct or draw the box; then follow it from there",
         "data-testid": "follow-go",

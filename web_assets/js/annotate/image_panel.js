@@ -29,13 +29,12 @@ const LEAST_DRAG = 8;
  * @param {HTMLElement} parts.hint the line for what to do.
  */
 export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode, canDraw, nextClass }) {
-  const title = h("h2", { class: "ellipsis" }, "Image");
+  const title = h("h2.ellipsis", "Image");
   const withRejected = h("input", { type: "checkbox", onchange: show, "data-testid": "show-rejected" });
   const byTrack = h("input", { type: "checkbox", onchange: colorAnew, "data-testid": "color-by-track" });
   byTrack.checked = localStorage.getItem("color-by-track") === "true";
-  const body = h("div", { class: "view-body", "data-testid": "image-editor" });
-  const cameras = h("div", {
-    class: "cameras",
+  const body = h("div.view-body", { "data-testid": "image-editor" });
+  const cameras = h("div.cameras", {
     role: "toolbar",
     "aria-label": "Cameras of this moment",
     hidden: true,
@@ -44,26 +43,17 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
   host.append(
     h(
       "header",
-      {},
       title,
-      h("span", { class: "grow" }),
-      h("label", { class: "row", title: "Colour boxes by track, not by state" }, byTrack, "tracks"),
-      h("label", { class: "row" }, withRejected, "rejected"),
+      h("span.grow"),
+      h("label.row", { title: "Colour boxes by track, not by state" }, byTrack, "tracks"),
+      h("label.row", withRejected, "rejected"),
     ),
     body,
     cameras,
   );
-  /**
-   * The class of the box that was asked for; null: none.
-   *
-   * @type {string | null}
-   */
+  /** The class of the box that was asked for; null: none. @type {string | null} */
   let wanted = null;
-  /**
-   * The class that was chosen during the drag.
-   *
-   * @type {string | null}
-   */
+  /** The class that was chosen during the drag. @type {string | null} */
   let chosen = null;
   let isDragging = false;
   let isFitting = false;
@@ -89,11 +79,7 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
       else teach().changeImageBox(items[index], boxes[index], why, actions);
     },
   });
-  /**
-   * The objects of the boxes that are shown.
-   *
-   * @type {Item[]}
-   */
+  /** The objects of the boxes that are shown. @type {Item[]} */
   let items = [];
   let dashed = 0;
   const isDashed = (/** @type {number} */ index) => index >= items.length - dashed && index < items.length;
@@ -174,13 +160,14 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
             .find((one) => one.id === Number(recording))
             ?.name.split("@")
             .at(-1) ?? "";
-        const picture = h("span", { class: "picture" });
+        const picture = h("span.picture");
         if (loader.has(pictureOf(id))) picture.style.backgroundImage = `url("${pictureOf(id)}")`;
-        return button(
-          [picture, h("span", { class: "ellipsis" }, name)],
-          () => app.go(makeHash(project, "annotate", id)),
-          { class: "quiet", title: name, "aria-current": id === frame.id ? "true" : null, "data-key": id },
-        );
+        return button([picture, h("span.ellipsis", name)], () => app.go(makeHash(project, "annotate", id)), {
+          class: "quiet",
+          title: name,
+          "aria-current": id === frame.id ? "true" : null,
+          "data-key": id,
+        });
       }),
     );
   }
@@ -231,6 +218,10 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     show,
     /** The next drag draws a box of this class; null: none. */
     draw,
+    /** Whether a box is being drawn, or fitted to what was drawn. */
+    get isBusy() {
+      return editor.isDragging || isFitting;
+    },
     /** Whether a box was asked for. */
     get isDrawing() {
       return wanted !== null;

@@ -42,21 +42,20 @@ export function mapAxes(/** @type {Vector | null} */ up) {
  *     with a point of the camera frame, above or below which a box is to be placed; onOpen: with a double-clicked box.
  */
 export function createMap(host, app, desk, { onPlace, onOpen, onClose }) {
-  const picture = h("img", { class: "picture", alt: "", draggable: "false" });
-  const svg = s("svg", { class: "shapes", "aria-hidden": "true" });
+  const picture = h("img.picture", { alt: "", draggable: "false" });
+  const svg = s("svg.shapes", { "aria-hidden": "true" });
   const root = h(
-    "div",
-    { class: "map", tabindex: 0, role: "application", "aria-label": "Top view", "data-testid": "map" },
+    "div.map",
+    { tabindex: 0, role: "application", "aria-label": "Top view", "data-testid": "map" },
     picture,
     svg,
   );
   host.append(
     h(
       "header",
-      {},
-      h("h2", {}, "Top view"),
-      h("span", { class: "muted ellipsis grow" }, "Drag to move, wheel to zoom, click to select or place."),
-      button(["3D view", h("kbd", {}, "M")], onClose, { class: "quiet small", "data-testid": "show-3d" }),
+      h("h2", "Top view"),
+      h("span.muted.ellipsis.grow", "Drag to move, wheel to zoom, click to select or place."),
+      button(["3D view", h("kbd", "M")], onClose, { class: "quiet small", "data-testid": "show-3d" }),
     ),
     root,
   );
@@ -144,11 +143,11 @@ export function createMap(host, app, desk, { onPlace, onOpen, onClose }) {
     const [x, y] = toView(plane, [0, 0, 0]);
     const furthest = Math.hypot(Math.max(x, size.width - x), Math.max(y, size.height - y)) * plane.metres_per_px;
     /** @type {SVGElement[]} */
-    const marks = [s("circle", { class: "sensor", cx: x, cy: y, r: 4 })];
+    const marks = [s("circle.sensor", { cx: x, cy: y, r: 4 })];
     for (let metres = step; metres < furthest && marks.length < 60; metres += step) {
       const r = metres / plane.metres_per_px;
-      marks.push(s("circle", { class: "ring", cx: x, cy: y, r }));
-      marks.push(s("text", { class: "ring", x: x + 3, y: y - r - 3 }, `${metres} m`));
+      marks.push(s("circle.ring", { cx: x, cy: y, r }));
+      marks.push(s("text.ring", { x: x + 3, y: y - r - 3 }, `${metres} m`));
     }
     return marks;
   }
@@ -162,7 +161,7 @@ export function createMap(host, app, desk, { onPlace, onOpen, onClose }) {
       const to = toView(plane, [(px - cx) / fx, 0, 1]).map((value, i) => value - from[i]);
       const share = far / Math.hypot(...to);
       const [x2, y2] = to.map((value, i) => from[i] + value * share);
-      return s("line", { class: "side", x1: from[0], y1: from[1], x2, y2 });
+      return s("line.side", { x1: from[0], y1: from[1], x2, y2 });
     });
   }
 
@@ -196,12 +195,10 @@ export function createMap(host, app, desk, { onPlace, onOpen, onClose }) {
           "stroke-dasharray": label.isNew ? "5 3" : "none",
         }),
         s("line", { x1: from[0], y1: from[1], x2: to[0], y2: to[1], stroke: color }),
-        s("title", {}, shortName(label)),
+        s("title", shortName(label)),
       );
       if (isSelected && !app.state.frame?.frame.finalised)
-        group.append(
-          s("circle", { class: "handle", cx: handle[0], cy: handle[1], r: 6, "data-testid": "map-handle" }),
-        );
+        group.append(s("circle.handle", { cx: handle[0], cy: handle[1], r: 6, "data-testid": "map-handle" }));
       return [group];
     });
   }

@@ -344,11 +344,7 @@ export function objectChange(draft, { after, kind, onDrawn }) {
   };
 }
 
-/**
- * Deletes an object with its label.
- *
- * @returns {FrameChange}
- */
+/** Deletes an object with its label. @returns {FrameChange} */
 export function removal(/** @type {Item} */ item, /** @type {() => Api.BoxKind} */ kind) {
   const { image_box } = item;
   return {
@@ -366,11 +362,7 @@ export function removal(/** @type {Item} */ item, /** @type {() => Api.BoxKind} 
   };
 }
 
-/**
- * Changes the kind of all boxes of the frame: what they enclose.
- *
- * @returns {FrameChange}
- */
+/** Changes the kind of all boxes of the frame: what they enclose. @returns {FrameChange} */
 export function kindChange(/** @type {Api.BoxKind} */ kind) {
   return {
     path: ["changes"],

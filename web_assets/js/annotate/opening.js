@@ -23,17 +23,9 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
   const { project } = app.state.route;
   let loading = false;
   let openings = 0;
-  /**
-   * The frame that is shown.
-   *
-   * @type {number | null}
-   */
+  /** The frame that is shown. @type {number | null} */
   let opened = null;
-  /**
-   * The frame that cannot be read.
-   *
-   * @type {number | null}
-   */
+  /** The frame that cannot be read. @type {number | null} */
   let broken = null;
 
   /** Sets whether a frame is being opened; keys must not act meanwhile, because its boxes are not shown yet. */

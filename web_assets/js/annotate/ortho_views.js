@@ -9,7 +9,7 @@ import {
   copyBox,
   headingJump,
   sameBox,
-  turnedInView,
+  turned,
   viewHeading,
   viewOutline,
   viewRect,
@@ -46,7 +46,7 @@ export function createOrthoViews(
   /** @type {ReturnType<typeof import("./preload.js").createPreload>} */ preload,
 ) {
   const panels = NAMES.map((name) => createPanel(name, desk));
-  const note = h("p", { class: "note" }, "A box is seen here from above, from the front and from its right.");
+  const note = h("p.note", "A box is seen here from above, from the front and from its right.");
   host.append(...panels.map(({ root }) => root), note);
   /** @type {{ frame: number, box: Box3D } | null} */
   let fetched = null;
@@ -132,22 +132,18 @@ export function createOrthoViews(
 }
 
 function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
-  const note = h("p", { class: "view-note", role: "alert", hidden: true });
-  const body = h("div", { class: "view-body" }, note);
-  const scale = h("span", { class: "muted number" });
+  const note = h("p.view-note", { role: "alert", hidden: true });
+  const body = h("div.view-body", note);
+  const scale = h("span.muted.number");
   const root = h(
-    "section",
-    { class: "panel ortho", "data-testid": `ortho-${name}`, "aria-label": `${TITLES[name]} view` },
-    h("header", {}, h("h3", { title: SEEN[name] }, TITLES[name]), h("span", { class: "grow" }), scale),
+    "section.panel.ortho",
+    { "data-testid": `ortho-${name}`, "aria-label": `${TITLES[name]} view` },
+    h("header", h("h3", { title: SEEN[name] }, TITLES[name]), h("span.grow"), scale),
     body,
   );
   /** @type {Api.OrthoView | null} */
   let view = null;
-  /**
-   * The box before the edit that is in progress.
-   *
-   * @type {Box3D | null}
-   */
+  /** The box before the edit that is in progress. @type {Box3D | null} */
   let start = null;
 
   const color = () => STATE_COLORS[desk.shown?.state ?? "proposed"];
@@ -168,19 +164,11 @@ function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
       if (desk.hasDraft) void desk.commit(actions);
       else follow();
     },
-    onRotate(angleRad, final) {
-      if (!view || !desk.shown) return;
-      desk.preview({ box: turnedInView(view, begin(desk.shown), angleRad) });
-      if (!final) return;
-      end();
-      void desk.commit();
+    onRotate(angleRad, isFinal) {
+      if (view && desk.shown) pull(turned(begin(desk.shown), view.axes[2], angleRad), isFinal);
     },
     onSlide(metres, isFinal) {
-      if (!desk.shown) return;
-      desk.preview({ box: slid(begin(desk.shown), metres) });
-      if (!isFinal) return;
-      end();
-      void desk.commit();
+      if (desk.shown) pull(slid(begin(desk.shown), metres), isFinal);
     },
   });
 
@@ -209,6 +197,14 @@ function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
 
   function end() {
     start = null;
+  }
+
+  /** A handle has moved the box. */
+  function pull(/** @type {Box3D} */ box, /** @type {boolean} */ isFinal) {
+    desk.preview({ box });
+    if (!isFinal) return;
+    end();
+    void desk.commit();
   }
 
   /** @returns {Overlay} */

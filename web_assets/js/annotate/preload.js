@@ -15,11 +15,7 @@ export function createPreload(/** @type {App} */ app, /** @type {Desk} */ desk, 
   let ahead = null;
   /** @type {AbortController | null} */
   let request = null;
-  /**
-   * Tracks of which the server has drawn the pictures, as "recording/track".
-   *
-   * @type {Set<string>}
-   */
+  /** Tracks of which the server has drawn the pictures, as "recording/track". @type {Set<string>} */
   const drawn = new Set();
   let isHeld = false;
   /** What the browser keeps decoded. @type {HTMLImageElement[]} */

@@ -75,11 +75,7 @@ export function createSaver(app, desk, { onSaved, onDropped, onBusy }) {
     }
   }
 
-  /**
-   * The state of a change's frame, which the operator may have left.
-   *
-   * @returns {FrameState | Promise<FrameState>}
-   */
+  /** The state of a change's frame, which the operator may have left. @returns {FrameState | Promise<FrameState>} */
   function stateOf(/** @type {number} */ frame) {
     const open = app.state.frame;
     return open?.frame.id === frame ? open : app.api.get(app.path("frames", frame));
@@ -163,10 +159,10 @@ export function createSaver(app, desk, { onSaved, onDropped, onBusy }) {
  * @param {() => void} listeners.onDiscard drops what is not saved.
  */
 export function createSaveProblem(app, saver, { onRelabel, onDiscard }) {
-  const root = h("span", { class: "problem", role: "alert", "data-testid": "save-problem" });
+  const root = h("span.problem", { role: "alert", "data-testid": "save-problem" });
 
   function choice(/** @type {string} */ gone) {
-    const options = app.state.project.classes.map((name) => h("option", {}, name));
+    const options = app.state.project.classes.map((name) => h("option", name));
     const onchange = (/** @type {Event} */ { currentTarget }) =>
       onRelabel({ [gone]: /** @type {HTMLSelectElement} */ (currentTarget).value });
     return h(
@@ -183,7 +179,7 @@ export function createSaveProblem(app, saver, { onRelabel, onDiscard }) {
     const text = `Not saved: ${saver.problem.message}`;
     patch(
       root,
-      h("span", { class: "ellipsis", title: text }, text),
+      h("span.ellipsis", { title: text }, text),
       gone === undefined ? button("Try again", () => saver.retry()) : choice(gone),
       button("Discard", onDiscard),
     );

@@ -11,17 +11,13 @@ export function createScene(
   /** @type {Desk} */ desk,
   /** @type {() => Teach} */ teach,
 ) {
-  const body = h("div", { class: "viewport-host" });
+  const body = h("div.viewport-host");
   host.append(body);
   const { viewport } = app;
   /** @type {Api.Gizmo} */
   let gizmo = "off";
   let isDragging = false;
-  /**
-   * A frame that cannot be read; the 3D view shows the reason, too.
-   *
-   * @type {number | null}
-   */
+  /** A frame that cannot be read; the 3D view shows the reason, too. @type {number | null} */
   let broken = null;
   /**
    * The scene that was sent last, with the frame's revision and the time.
@@ -30,19 +26,17 @@ export function createScene(
    */
   let sent = { scene: "", revision: null, at: -Infinity };
   let timer = 0;
-  body.append(viewport.element);
-
-  const stop = [
-    viewport.on("select", ({ uid }) => desk.select(uid)),
-    viewport.on("box", ({ uid, box, final }) => {
+  viewport.attach(body, {
+    onSelect: desk.select,
+    onBox({ uid, box, final }) {
       if (uid !== desk.uid) return;
       // the gizmo has moved away from what was sent
       sent.scene = "";
       isDragging = !final;
       desk.preview({ box });
       if (final) void desk.commit();
-    }),
-  ];
+    },
+  });
 
   /**
    * Sends the scene, unless it was sent already: without a graphics card, drawing takes time. If only the stored
@@ -93,9 +87,6 @@ export function createScene(
       if (!isDragging) send();
     },
 
-    destroy() {
-      clearTimeout(timer);
-      for (const end of stop) end();
-    },
+    destroy: () => clearTimeout(timer),
   };
 }

@@ -27,11 +27,7 @@ const HEIGHT = 96;
  *     open: (target: Target) => unknown, next: () => Target | null, isFollowed: (track: number) => boolean }} parts
  */
 export function createSheet(app, { desk, queue, preload, open, next, isFollowed }) {
-  /**
-   * Tracks whose sheet was left to correct a box, as "recording/track".
-   *
-   * @type {Set<string>}
-   */
+  /** Tracks whose sheet was left to correct a box, as "recording/track". @type {Set<string>} */
   const left = new Set();
 
   const nameOf = (/** @type {number} */ track) => `${currentFrame(app).frame.recording}/${track}`;
@@ -85,30 +81,19 @@ export function createSheet(app, { desk, queue, preload, open, next, isFollowed 
   async function ask(recording, track, shown, isBack) {
     /** @type {Set<string>} */
     const out = new Set();
-    /**
-     * All boxes from this one on are wrong, also those that are found later.
-     *
-     * @type {string | null}
-     */
+    /** All boxes from this one on are wrong, also those that are found later. @type {string | null} */
     let outFrom = null;
-    /**
-     * The box to open when the sheet is closed.
-     *
-     * @type {string | null}
-     */
+    /** The box to open when the sheet is closed. @type {string | null} */
     let corrected = null;
     let proposals = shown.filter(isOpen);
     /** @type {Map<string, HTMLElement>} */
     const tiles = new Map();
-    const grid = h("div", { class: "sheet", onkeydown: onKey });
-    const note = h("p", { class: "muted", role: "status", "data-testid": "sheet-note" });
+    const grid = h("div.sheet", { onkeydown: onKey });
+    const note = h("p.muted", { role: "status", "data-testid": "sheet-note" });
 
     function tile(/** @type {Api.TrackBox} */ box) {
       return button(
-        [
-          h("img", { alt: "", width: WIDTH, height: HEIGHT, decoding: "async" }),
-          h("span", { class: "ellipsis" }, box.key),
-        ],
+        [h("img", { alt: "", width: WIDTH, height: HEIGHT, decoding: "async" }), h("span.ellipsis", box.key)],
         (event) => (event.ctrlKey || event.metaKey ? correct(box) : toggle(box.uid, event.shiftKey)),
         {
           class: `tile state-${box.state}`,

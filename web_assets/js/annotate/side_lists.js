@@ -23,31 +23,28 @@ export function createQueueList(
   /** @type {Queue} */ queue,
   /** @type {{ open: (target: Target) => unknown }} */ { open: go },
 ) {
-  /** @type {HTMLSelectElement} */
-  const order = h(
-    "select",
-    {
-      "aria-label": "Order of the queue",
-      "data-testid": "queue-order",
-      onchange: () => choose(order, { order: order.value }),
-    },
-    ORDERS.map(([value, text]) => h("option", { value }, text)),
-  );
-  /** @type {HTMLSelectElement} */
-  const label = h("select", {
-    "aria-label": "Class in the queue",
-    "data-testid": "queue-class",
-    onchange: () => choose(label, { label: label.value }),
-  });
-  const values = createValueFilter(app, (value) => choose(null, { value }));
-  /** @type {HTMLSelectElement} */
-  const source = h("select", {
-    "aria-label": "Source in the queue",
-    "data-testid": "queue-source",
-    onchange: () => choose(source, { source: source.value }),
-  });
-  const left = h("span", { class: "number muted", "data-testid": "queue-remaining" });
-  const list = h("ol", { class: "rows", "data-testid": "queue" });
+  /** A choice of the queue. @returns {HTMLSelectElement} */
+  const select = (
+    /** @type {"order" | "label" | "source"} */ key,
+    /** @type {string} */ name,
+    /** @type {string} */ id,
+  ) =>
+    h("select", {
+      "aria-label": name,
+      "data-testid": `queue-${id}`,
+      onchange(event) {
+        const field = /** @type {HTMLSelectElement} */ (event.currentTarget);
+        // so that Space and the digits are keys of the mode again
+        field.blur();
+        choose({ [key]: field.value });
+      },
+    });
+  const order = select("order", "Order of the queue", "order");
+  const label = select("label", "Class in the queue", "class");
+  const source = select("source", "Source in the queue", "source");
+  const values = createValueFilter(app, (value) => choose({ value }));
+  const left = h("span.number.muted", { "data-testid": "queue-remaining" });
+  const list = h("ol.rows", { "data-testid": "queue" });
   /** @type {string | null} */
   let current = null;
   /**
@@ -58,10 +55,11 @@ export function createQueueList(
   let standing = [];
   let answered = 0;
   fill();
+  order.append(...ORDERS.map(([value, text]) => h("option", { value }, text)));
   order.value = queue.order;
   host.replaceChildren(
-    h("header", {}, h("h2", {}, "To review"), h("span", { class: "grow" }), left),
-    h("div", { class: "choices" }, order, label, source, values.root),
+    h("header", h("h2", "To review"), h("span.grow"), left),
+    h("div.choices", order, label, source, values.root),
     list,
   );
 
@@ -72,15 +70,10 @@ export function createQueueList(
     const isEnded = [refill(label, "All classes", new Map(classes.map((name) => [name, name]))), values.fill()].some(
       Boolean,
     );
-    if (isEnded) choose(label, { label: label.value, value: values.query() });
+    if (isEnded) choose({ label: label.value, value: values.query() });
   }
 
-  function choose(
-    /** @type {HTMLSelectElement | null} */ select,
-    /** @type {Parameters<Queue["choose"]>[0]} */ changes,
-  ) {
-    // so that Space and the digits are keys of the mode again
-    select?.blur();
+  function choose(/** @type {Parameters<Queue["choose"]>[0]} */ changes) {
     queue.choose(changes).then(() => queue.items[0] && go(queue.items[0]), app.toast);
   }
 
@@ -114,14 +107,11 @@ export function createQueueList(
         ),
       ];
     const clear = () => {
-      for (const select of [label, source]) select.value = "";
+      label.value = source.value = "";
       values.clear();
-      choose(label, { label: "", value: {}, source: "" });
+      choose({ label: "", value: {}, source: "" });
     };
-    return [
-      h("p", {}, "No proposal matches the filter."),
-      button("Show all", clear, { "data-testid": "queue-clear" }),
-    ];
+    return [h("p", "No proposal matches the filter."), button("Show all", clear, { "data-testid": "queue-clear" })];
   }
 
   return {
@@ -149,7 +139,7 @@ export function createQueueList(
         const arrow = heading && headingMark(heading, box ? (app.state.frame?.up ?? null) : null);
         return queueRow(item, recordings, { isCurrent: isShown(item), isDone: !open.has(keyOf(item)), arrow }, go);
       });
-      patch(list, rows.length > 0 ? rows : h("li", { class: "muted pad" }, ...nothing()));
+      patch(list, rows.length > 0 ? rows : h("li.muted.pad", ...nothing()));
       // not again, so that an operator who looks elsewhere in the list is left there
       if (uid !== current) list.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
       current = uid;
@@ -172,11 +162,11 @@ function queueRow(
     { "data-key": keyOf(item) },
     button(
       [
-        h("span", { class: "ellipsis grow" }, item.label ?? "draw"),
+        h("span.ellipsis.grow", item.label ?? "draw"),
         isOurs ? null : saidBy(item.sources),
         arrow,
         doubtBar(item.doubt),
-        h("span", { class: "muted place" }, place),
+        h("span.muted.place", place),
       ],
       () => open(item),
       {
@@ -193,18 +183,18 @@ function queueRow(
 /** Such as "mine +1". */
 function saidBy(/** @type {string[]} */ [first, ...others]) {
   return h(
-    "span",
-    { class: "said muted", "data-testid": "queue-said" },
-    h("span", { class: "ellipsis" }, first),
-    others.length ? h("span", {}, ` +${others.length}`) : null,
+    "span.said.muted",
+    { "data-testid": "queue-said" },
+    h("span.ellipsis", first),
+    others.length ? h("span", ` +${others.length}`) : null,
   );
 }
 
 function doubtBar(/** @type {number | null} */ doubt) {
-  if (doubt === null || doubt === undefined) return h("span", { class: "doubt" });
-  const bar = h("i", {});
+  if (doubt === null || doubt === undefined) return h("span.doubt");
+  const bar = h("i");
   bar.style.width = `${Math.round(100 * doubt)}%`;
-  return h("span", { class: "doubt", title: `Doubt ${Math.round(100 * doubt)} %` }, bar);
+  return h("span.doubt", { title: `Doubt ${Math.round(100 * doubt)} %` }, bar);
 }
 
 /**
@@ -217,20 +207,16 @@ export function createBoxList(
   /** @type {() => Teach} */ teach,
   /** @type {(uid: string) => void} */ onOpen,
 ) {
-  const title = h("h2", {}, "In this frame");
-  const note = h("p", { class: "muted pad ellipsis", "data-testid": "frame-summary" });
-  const list = h("ul", { class: "rows", "data-testid": "frame-boxes" });
+  const title = h("h2", "In this frame");
+  const note = h("p.muted.pad.ellipsis", { "data-testid": "frame-summary" });
+  const list = h("ul.rows", { "data-testid": "frame-boxes" });
   /** @type {Map<string, string>} */
   let pictures = new Map();
   let known = "";
-  /**
-   * The frame whose rows have pictures.
-   *
-   * @type {number | null}
-   */
+  /** The frame whose rows have pictures. @type {number | null} */
   let pictured = null;
   let request = new AbortController();
-  host.replaceChildren(h("header", {}, title), note, list);
+  host.replaceChildren(h("header", title), note, list);
 
   function draw() {
     const labels = desk.labels();
@@ -298,7 +284,7 @@ function boxRow(app, label, desk, picture, onOpen) {
         headingMark(boxAxis(box, 0), app.state.frame?.up ?? null, jumpText({ ...label, box })),
         h("span", { class: problem ? "bad" : `state-${label.state}` }, state),
         picture !== null &&
-          (picture ? h("img", { src: picture, alt: "", class: "small-views" }) : h("span", { class: "small-views" })),
+          (picture ? h("img", { src: picture, alt: "", class: "small-views" }) : h("span.small-views")),
       ],
       () => desk.select(label.uid),
       {
@@ -325,13 +311,13 @@ function unfinishedRow(/** @type {Item} */ item, /** @type {Teach} */ teach) {
   const done = progressOf(item);
   const dots = Array.from({ length: DRAGS }, (_, i) => h("i", { class: i < done ? "on" : "" }));
   return h(
-    "li",
-    { class: "row unfinished", "data-testid": "object", "data-boxes": done },
+    "li.row.unfinished",
+    { "data-testid": "object", "data-boxes": done },
     button(
       [
-        h("span", { class: "ellipsis grow" }, label),
-        h("span", { class: "dots", "aria-hidden": "true" }, dots),
-        h("span", { class: "muted" }, `${done} of ${DRAGS} boxes`),
+        h("span.ellipsis.grow", label),
+        h("span.dots", { "aria-hidden": "true" }, dots),
+        h("span.muted", `${done} of ${DRAGS} boxes`),
       ],
       () => teach.open(item),
       {

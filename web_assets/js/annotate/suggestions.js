@@ -104,11 +104,7 @@ export function createWholeBoxes(app, work, { saver, onOffered }) {
 // -- the detectors' suggestions: problems with them, waiting for a detector that is loaded, boxes on the image
 
 const LOADING_WAIT_MS = 1500;
-/**
- * Problems that have been shown; each is shown only once.
- *
- * @type {Set<string>}
- */
+/** Problems that have been shown; each is shown only once. @type {Set<string>} */
 const reported = new Set();
 
 /**

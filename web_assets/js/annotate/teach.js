@@ -347,7 +347,6 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
       return work.items.filter((item) => !item.uid);
     },
     problem: problem.root,
-    editors: views.editors,
     shown,
     overlays,
     hint,
@@ -357,7 +356,6 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
     turn,
     accept,
     rename,
-    refresh,
     nextWhole: () => whole.next(),
 
     /** A box was drawn on the image for a new object, in which nothing was found, or which is to be drawn. */

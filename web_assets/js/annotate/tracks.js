@@ -13,11 +13,7 @@ import { currentFrame } from "../frame_state.js";
 /** A copy with fewer points inside stands on nothing. */
 const LEAST_POINTS = 5;
 
-/**
- * What to say about boxes that were copied from the previous frame, and how.
- *
- * @returns {[string, "good" | "warn"]}
- */
+/** What to say about boxes that were copied from the previous frame, and how. @returns {[string, "good" | "warn"]} */
 export function copiedText(/** @type {PageLabel[]} */ copies) {
   const empty = copies.filter(({ points }) => points < LEAST_POINTS);
   const what = `${count(copies.length, "box", "boxes")} copied from the previous frame, to be reviewed.`;
@@ -104,23 +100,23 @@ export function createTracks(
     onChanged,
   },
 ) {
-  const title = h("span", { class: "grow ellipsis" });
-  const all = button(["Sheet", h("kbd", {}, "S")], () => sheet(), {
+  const title = h("span.grow.ellipsis");
+  const all = button(["Sheet", h("kbd", "S")], () => sheet(), {
     title: "All boxes of this track as small pictures, to be accepted together (S)",
     "data-testid": "act-sheet",
   });
   const acts = Object.entries(OPERATIONS).map(([id, { text, key, help }]) =>
-    button([text, key ? h("kbd", {}, key) : null], () => void operate(id), {
+    button([text, key ? h("kbd", key) : null], () => void operate(id), {
       title: help,
       "data-testid": `track-${id}`,
     }),
   );
   const values = acts[Object.keys(OPERATIONS).indexOf("values")];
   const body = h(
-    "div",
-    { class: "track", hidden: true },
-    h("div", { class: "row" }, title, all),
-    h("div", { class: "row", role: "toolbar", "aria-label": "This track" }, acts),
+    "div.track",
+    { hidden: true },
+    h("div.row", title, all),
+    h("div.row", { role: "toolbar", "aria-label": "This track" }, acts),
   );
   host.append(body);
 
@@ -134,7 +130,7 @@ export function createTracks(
     if (!label || id === null) return;
     title.textContent = `Track ${id}`;
     // the colours of tracks are too light for text
-    const dot = h("span", { class: "dot" });
+    const dot = h("span.dot");
     dot.style.background = trackColor(id);
     title.prepend(dot);
     values.hidden = Object.keys(label.attributes).length === 0;
@@ -216,17 +212,22 @@ export function createTracks(
       }
     }
 
-    await tell();
+    let telling = tell();
+    await telling;
     if (!field && told === null) return app.toast(note.textContent, "warn");
-    field?.root.addEventListener("input", () => void tell());
+    field?.root.addEventListener("input", () => {
+      telling = tell();
+    });
     const done = await openDialog({
       title: `Track ${track}: ${text.replace("…", "")}`,
       testid: "track-operation",
-      content: [h("p", { class: "muted" }, help), ...(field ? [field.root] : []), note],
+      content: [h("p.muted", help), ...(field ? [field.root] : []), note],
       actions: [{ label: text.replace("…", ""), value: "yes", kind: id === "delete" ? "danger" : "primary" }],
       async submit() {
         // nothing happens that was not told before
-        if (told === null) throw new Error(note.textContent);
+        const read = note.textContent;
+        await telling;
+        if (told === null || note.textContent !== read) throw new Error(note.textContent);
         const sent = { ...body(), told: told.count };
         app.effort.action();
         return desk.enqueue(() => app.api.change(path(track), sent));
@@ -253,7 +254,7 @@ function fieldOf(
   /** @type {string} */ digit,
 ) {
   const named = (/** @type {string} */ text, /** @type {HTMLElement} */ input) =>
-    h("label", { class: "field" }, h("span", {}, text), input);
+    h("label.field", h("span", text), input);
   if (id === "merge") {
     const input = h("input", { type: "number", min: 0, step: 1, autofocus: true, "data-testid": "track-other" });
     return {
@@ -275,6 +276,6 @@ function fieldOf(
   }
   if (id !== "fill") return null;
   const box = h("input", { type: "checkbox", "data-testid": "track-refit" });
-  const root = h("label", {}, box, " Fit each box to the points of its frame");
+  const root = h("label", box, " Fit each box to the points of its frame");
   return { root, value: () => ({ refit: box.checked }) };
 }

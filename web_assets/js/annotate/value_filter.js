@@ -8,17 +8,9 @@ export function createValueFilter(
   /** @type {ModeApp} */ app,
   /** @type {(query: import("./queue.js").ValueQuery) => unknown} */ onChange,
 ) {
-  /**
-   * The attribute of each option that is typed, by the option's value.
-   *
-   * @type {Map<string, Attribute>}
-   */
+  /** The attribute of each option that is typed, by the option's value. @type {Map<string, Attribute>} */
   let typed = new Map();
-  /**
-   * What each option asks, by its value.
-   *
-   * @type {Map<string, import("./queue.js").ValueQuery>}
-   */
+  /** What each option asks, by its value. @type {Map<string, import("./queue.js").ValueQuery>} */
   let queries = new Map();
   /** @type {HTMLSelectElement} */
   const select = h("select", {
@@ -29,7 +21,7 @@ export function createValueFilter(
   const low = input("low", "from", "number");
   const high = input("high", "to", "number");
   const contains = input("contains", "contains", "text");
-  const root = h("span", { class: "value-filter" }, select, low, high, contains);
+  const root = h("span.value-filter", select, low, high, contains);
 
   /** @returns {HTMLInputElement} */
   function input(

@@ -63,11 +63,7 @@ async function sendAgain(
   return app.api.change(app.path("frames", theirs.frame.id, "changes"), body);
 }
 
-/**
- * The change that adds an edited box again, as a new one, after others have deleted it.
- *
- * @returns {Change}
- */
+/** The change that adds an edited box again, as a new one, after others have deleted it. @returns {Change} */
 const asNew = (/** @type {Change} */ { label, box, track_id }) => ({ kind: "create", label, box, track_id });
 
 /** @returns {Mine} */
@@ -105,7 +101,6 @@ export async function chooseBox(labels, changes, error) {
     content: [
       h(
         "p",
-        {},
         `The other box is ${other.state === "proposed" ? "a proposal" : other.state} (${other.label}). An object ` +
           "has one box in a frame: if both are the same object, choose the one that stays; the other one is deleted.",
       ),

@@ -44,39 +44,38 @@ const KINDS = [
 export function createViewsPane(app, { onBox, onClear, onAcceptAll, onKind, newLabel }) {
   const panes = VIEWS.map(([name, testid], index) => makePane(name, testid, index));
   const messages = [0, 1].map((step) =>
-    h("p", { class: "views-message", role: "status", "data-testid": step ? "views-message-2" : "views-message" }),
+    h("p.views-message", { role: "status", "data-testid": step ? "views-message-2" : "views-message" }),
   );
-  const accept = button(["Accept ", h("kbd", {}, "Space")], () => onAcceptAll(), {
+  const accept = button(["Accept ", h("kbd", "Space")], () => onAcceptAll(), {
     class: "primary",
     hidden: true,
     "data-testid": "accept-all",
   });
-  const source = h("p", { class: "muted views-source", role: "status", "data-testid": "views-source" });
+  const source = h("p.muted.views-source", { role: "status", "data-testid": "views-source" });
   const kinds = KINDS.map(([kind, text, title]) =>
     button(text, () => onKind(kind), { role: "radio", title, "aria-checked": "false", "data-testid": `kind-${kind}` }),
   );
   const pairs = [0, 1].map((step) =>
-    h("div", { class: "pair" }, panes[2 * step].element, panes[2 * step + 1].element, messages[step]),
+    h("div.pair", panes[2 * step].element, panes[2 * step + 1].element, messages[step]),
   );
   const root = h(
-    "section",
-    { class: "panel views", "aria-label": "Pseudo-views" },
+    "section.panel.views",
+    { "aria-label": "Pseudo-views" },
     h(
       "header",
-      {},
-      h("h2", {}, "Pseudo-views"),
-      h("div", { class: "segments", role: "radiogroup", "aria-label": "What boxes enclose" }, kinds),
-      h("span", { class: "grow" }),
+      h("h2", "Pseudo-views"),
+      h("div.segments", { role: "radiogroup", "aria-label": "What boxes enclose" }, kinds),
+      h("span.grow"),
       accept,
     ),
-    h("div", { class: "pairs" }, pairs),
+    h("div.pairs", pairs),
     source,
   );
 
   /** @returns {Pane} */
   function makePane(/** @type {string} */ name, /** @type {string} */ testid, /** @type {number} */ index) {
-    const caption = h("span", { class: "view-name" }, name);
-    const host = h("div", { class: "view", "data-testid": testid });
+    const caption = h("span.view-name", name);
+    const host = h("div.view", { "data-testid": testid });
     const editor = createEditor(host, {
       label: `${name} view`,
       single: true,

@@ -62,8 +62,8 @@ function drawBox(/** @type {EditorBox} */ box, /** @type {number} */ index, /** 
     "data-testid": "editor-box",
     "data-index": index,
   });
-  group.append(s("rect", { class: "halo", ...rect }), s("rect", { class: "line", stroke: color, ...rect }));
-  if (isSelected) group.append(s("rect", { class: "fill", fill: color, ...rect }));
+  group.append(s("rect.halo", { ...rect }), s("rect.line", { stroke: color, ...rect }));
+  if (isSelected) group.append(s("rect.fill", { fill: color, ...rect }));
   const text = box.caption ?? box.label;
   if (text) group.append(...drawCaption(text, rect, color));
   if (isSelected && !scene.isReadonly) group.append(...drawHandles(rect, scene));
@@ -87,7 +87,7 @@ function drawCaption(
   const y = rect.y >= 17 ? rect.y - 16 : rect.y;
   const x = Math.max(rect.x, 0);
   return [
-    s("rect", { class: "caption", x, y, width, height: 16, fill: color }),
+    s("rect.caption", { x, y, width, height: 16, fill: color }),
     s("text", { class: isDark(color) ? "caption on-dark" : "caption", x: x + 4, y: y + 12 }, text),
   ];
 }
@@ -99,21 +99,19 @@ function drawHandles(
   /** @type {Element[]} */
   const marks = [];
   const mark = (/** @type {number} */ cx, /** @type {number} */ cy) =>
-    marks.push(s("rect", { class: "handle", x: round(cx - 3.5), y: round(cy - 3.5), width: 7, height: 7 }));
+    marks.push(s("rect.handle", { x: round(cx - 3.5), y: round(cy - 3.5), width: 7, height: 7 }));
   const [midX, midY] = [x + width / 2, y + height / 2];
   for (const cx of [x, x + width]) for (const cy of [y, y + height]) mark(cx, cy);
   if (width > 28) for (const cy of [y, y + height]) mark(midX, cy);
   if (height > 28) for (const cx of [x, x + width]) mark(cx, midY);
   if (canTurn) {
-    marks.push(s("line", { class: "arm", x1: midX, y1: y, x2: midX, y2: y - ROTATE_ARM }));
-    marks.push(
-      s("circle", { class: "handle rotate", cx: midX, cy: y - ROTATE_ARM, r: 6, "data-testid": "rotate-handle" }),
-    );
+    marks.push(s("line.arm", { x1: midX, y1: y, x2: midX, y2: y - ROTATE_ARM }));
+    marks.push(s("circle.handle.rotate", { cx: midX, cy: y - ROTATE_ARM, r: 6, "data-testid": "rotate-handle" }));
   }
   if (sight) {
     const { from, to } = sightArm([midX, midY], width, height, sight);
-    marks.push(s("line", { class: "arm", x1: from[0], y1: from[1], x2: to[0], y2: to[1] }));
-    marks.push(s("circle", { class: "handle sight", cx: to[0], cy: to[1], r: 6, "data-testid": "sight-handle" }));
+    marks.push(s("line.arm", { x1: from[0], y1: from[1], x2: to[0], y2: to[1] }));
+    marks.push(s("circle.handle.sight", { cx: to[0], cy: to[1], r: 6, "data-testid": "sight-handle" }));
   }
   return marks;
 }
@@ -140,8 +138,8 @@ function drawOverlay(/** @type {Overlay} */ overlay, /** @type {View} */ view) {
   const d = lines
     .map((line) => line.map((point, i) => `${i ? "L" : "M"}${view.toWindow(point).map(round).join(" ")}`).join(""))
     .join("");
-  const group = s("g", { class: "overlay", "data-testid": "editor-overlay", "data-id": overlay.id });
-  if (overlay.strong) group.append(s("path", { class: "halo", d }));
+  const group = s("g.overlay", { "data-testid": "editor-overlay", "data-id": overlay.id });
+  if (overlay.strong) group.append(s("path.halo", { d }));
   group.append(
     s("path", {
       d,
@@ -163,9 +161,9 @@ function drawHeading(/** @type {Arrow} */ arrow, /** @type {Overlay} */ overlay,
   const color = wrong ? WRONG : overlay.color;
   const [from, end] = [view.toWindow(arrow.from), view.toWindow(arrow.to)];
   const reach = Math.hypot(end[0] - from[0], end[1] - from[1]);
-  const group = s("g", { class: "heading", "data-testid": wrong ? "wrong-heading" : "heading" });
+  const group = s("g.heading", { "data-testid": wrong ? "wrong-heading" : "heading" });
   const stroke = (/** @type {string} */ d) => {
-    group.append(s("path", { class: "halo", d }), s("path", { d, stroke: color, "stroke-width": strong ? 2.2 : 1.6 }));
+    group.append(s("path.halo", { d }), s("path", { d, stroke: color, "stroke-width": strong ? 2.2 : 1.6 }));
   };
   if (reach < 1 || Math.abs(arrow.sight) > END_ON.sight) {
     const [x, y] = end.map(round);
@@ -176,7 +174,7 @@ function drawHeading(/** @type {Arrow} */ arrow, /** @type {Overlay} */ overlay,
     stroke(
       arrow.sight < 0 ? ring : `${ring}M${x - k} ${y - k}l${2 * k} ${2 * k}M${x - k} ${y + k}l${2 * k} ${-2 * k}`,
     );
-    if (arrow.sight < 0) group.append(s("circle", { class: "head", cx: x, cy: y, r: 2.2, fill: color }));
+    if (arrow.sight < 0) group.append(s("circle.head", { cx: x, cy: y, r: 2.2, fill: color }));
     return group;
   }
   const along = [(end[0] - from[0]) / reach, (end[1] - from[1]) / reach];
@@ -188,7 +186,7 @@ function drawHeading(/** @type {Arrow} */ arrow, /** @type {Overlay} */ overlay,
       .join(" ");
   stroke(`M${at(0, 0)}L${at(long - head, 0)}`);
   const d = `M${at(long, 0)}L${at(long - head, head / 2)}L${at(long - head, -head / 2)}Z`;
-  group.append(s("path", { class: "head", d, fill: color }));
+  group.append(s("path.head", { d, fill: color }));
   return group;
 }
 
@@ -249,8 +247,7 @@ const areOver = (/** @type {Tag} */ a, /** @type {Tag} */ b) =>
 
 function drawCross(/** @type {Point} */ [x, y], /** @type {Size} */ { width, height }) {
   return s(
-    "g",
-    { class: "cross" },
+    "g.cross",
     s("line", { x1: 0, x2: width, y1: round(y), y2: round(y) }),
     s("line", { x1: round(x), x2: round(x), y1: 0, y2: height }),
   );

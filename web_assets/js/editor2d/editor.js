@@ -13,15 +13,14 @@ const NUDGES_END_MS = 500;
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
 export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorOptions} */ options) {
-  const image = h("img", { class: "picture", alt: "", draggable: "false" });
-  const svg = s("svg", { class: "shapes", "aria-hidden": "true" });
-  const spoken = h("span", { class: "visually-hidden", "aria-live": "polite" });
-  const readout = h("span", { class: "readout number", "aria-hidden": "true" });
-  const zoomText = h("span", { class: "number" });
+  const image = h("img.picture", { alt: "", draggable: "false" });
+  const svg = s("svg.shapes", { "aria-hidden": "true" });
+  const spoken = h("span.visually-hidden", { "aria-live": "polite" });
+  const readout = h("span.readout.number", { "aria-hidden": "true" });
+  const zoomText = h("span.number");
   const root = h(
-    "div",
+    "div.editor2d",
     {
-      class: "editor2d",
       tabindex: 0,
       role: "application",
       "aria-roledescription": "box editor",
@@ -31,7 +30,7 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
     image,
     svg,
     readout,
-    h("div", { class: "zoom-bar" }, zoomText, iconButton("fit", "Fit the picture (0)", fit, { tabindex: -1 })),
+    h("div.zoom-bar", zoomText, iconButton("fit", "Fit the picture (0)", fit, { tabindex: -1 })),
     spoken,
   );
   /** @type {EditorBox[]} */
@@ -53,6 +52,8 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
   const picture = { width: 0, height: 0 };
   const size = { width: 0, height: 0, border: 0 };
   const view = createView(picture, size);
+  /** What comes late, as an answer of the server, is not drawn. */
+  let isOver = false;
 
   function redraw() {
     drawn ||= requestAnimationFrame(draw);
@@ -60,6 +61,7 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
 
   function draw() {
     drawn = 0;
+    if (isOver) return;
     image.style.width = `${picture.width}px`;
     image.style.height = `${picture.height}px`;
     image.style.transform = `translate(${view.offset[0]}px, ${view.offset[1]}px) scale(${view.scale})`;
@@ -356,6 +358,7 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
       pointers.stop();
       watcher.disconnect();
       cancelAnimationFrame(drawn);
+      isOver = true;
       root.remove();
     },
   };

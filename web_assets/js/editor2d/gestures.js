@@ -105,11 +105,7 @@ function overlayAt(/** @type {Overlay[]} */ overlays, /** @type {Point} */ px) {
   return hits[0]?.id ?? null;
 }
 
-/**
- * Starts the gesture of a pointer at a point.
- *
- * @returns {Gesture}
- */
+/** Starts the gesture of a pointer at a point. @returns {Gesture} */
 export function beginGesture(
   /** @type {EditorInside} */ editor,
   /** @type {Hit} */ hit,

@@ -10,11 +10,7 @@ export function listenToPointers(/** @type {EditorInside} */ editor) {
   const touches = new Map();
   /** @type {Gesture | null} */
   let gesture = null;
-  /**
-   * The pointer that makes the gesture.
-   *
-   * @type {number | "pinch" | null}
-   */
+  /** The pointer that makes the gesture. @type {number | "pinch" | null} */
   let owner = null;
   let isSpaceDown = false;
   /** @type {Point} */

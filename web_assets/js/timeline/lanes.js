@@ -11,11 +11,7 @@ const LEAST = 16;
 /** @returns {Stretch} */
 export const whole = (/** @type {number} */ total) => ({ first: 0, count: Math.max(total, 1) });
 
-/**
- * A range shown larger (factor > 1) or smaller, in which the place `at` stays where it was.
- *
- * @returns {Stretch}
- */
+/** A range shown larger (factor > 1) or smaller, in which the place `at` stays where it was. @returns {Stretch} */
 export function zoomed(
   /** @type {Stretch} */ { first, count },
   /** @type {number} */ factor,
@@ -26,11 +22,7 @@ export function zoomed(
   return moved({ first: at - ((at - first) * now) / count, count: now }, 0, total);
 }
 
-/**
- * A range moved by this many places, within the recording.
- *
- * @returns {Stretch}
- */
+/** A range moved by this many places, within the recording. @returns {Stretch} */
 export const moved = (
   /** @type {Stretch} */ { first, count },
   /** @type {number} */ by,

@@ -1,4 +1,4 @@
-/** Loads small pictures one after the other, while no frame is being opened: the server reads a whole frame for each. */
+/** Loads small pictures one after the other, while no frame is being opened: the server has to read one, then. */
 
 /** So long after a frame was opened. */
 const CALM_MS = 1500;

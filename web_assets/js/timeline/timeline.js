@@ -55,15 +55,15 @@ export function mountTimeline(/** @type {HTMLElement} */ root, /** @type {App} *
   let press = null;
   let forgetKey = () => {};
 
-  const note = h("output", { class: "number muted", "data-testid": "timeline-note" });
+  const note = h("output.number.muted", { "data-testid": "timeline-note" });
   const fold = h(
     "button",
     { type: "button", class: "quiet", "data-testid": "timeline-fold", onclick: () => setFolded(!isFolded) },
     "Timeline ",
-    h("kbd", {}, "L"),
+    h("kbd", "L"),
   );
   const all = iconButton("fit", "Show the whole recording", () => setStretch(whole(total())), { disabled: true });
-  const strip = h("div", { class: "strip", "data-testid": "timeline-strip" });
+  const strip = h("div.strip", { "data-testid": "timeline-strip" });
   /** @type {HTMLInputElement} */
   const slider = h("input", {
     type: "range",
@@ -76,16 +76,10 @@ export function mountTimeline(/** @type {HTMLElement} */ root, /** @type {App} *
     onpointerup: () => slider.blur(),
   });
   const canvas = h("canvas", { role: "img", "aria-label": "Tracks of this recording" });
-  const none = h("p", { class: "muted" });
-  const space = h("div", { class: "space" }, none, canvas);
-  const body = h("div", { class: "lanes", "data-testid": "timeline-lanes", onscroll: () => drawSoon() }, space);
-  root.replaceChildren(
-    h("div", { class: "head" }, fold, all),
-    strip,
-    note,
-    h("div", { class: "slide" }, slider),
-    body,
-  );
+  const none = h("p.muted");
+  const space = h("div.space", none, canvas);
+  const body = h("div.lanes", { "data-testid": "timeline-lanes", onscroll: () => drawSoon() }, space);
+  root.replaceChildren(h("div.head", fold, all), strip, note, h("div.slide", slider), body);
   const loader = createLoader(drawSoon);
 
   const total = () => state.timeline?.frames.length ?? 0;
@@ -360,11 +354,7 @@ export function mountTimeline(/** @type {HTMLElement} */ root, /** @type {App} *
   show();
 }
 
-/**
- * The first and last place of a selected part of a track.
- *
- * @returns {[number, number]}
- */
+/** The first and last place of a selected part of a track. @returns {[number, number]} */
 const partOf = (/** @type {NonNullable<StateValues["span"]>} */ { from, to }, /** @type {Timeline} */ { places }) => [
   places.get(from) ?? 0,
   places.get(to) ?? 0,
