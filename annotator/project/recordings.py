@@ -489,8 +489,11 @@ def _place_in_world(connection: Connection, recording_id: int, poses: Poses) -> 
     if changed:
         of_frame = frames.c.id == bindparam("of_frame")
         connection.execute(update(frames).where(of_frame).values(world=bindparam("new_world")), changed)
-        gone = "UPDATE sightings SET place = '', seen = seen AND :new_world IS NOT NULL WHERE moment_id = :of_frame"
-        connection.execute(text(gone), changed)
+        # what an operator has seen there stays
+        again = (
+            "place = iif(place IS NULL AND :new_world IS NOT NULL, NULL, ''), seen = seen AND :new_world IS NOT NULL"
+        )
+        connection.execute(text(f"UPDATE sightings SET {again} WHERE moment_id = :of_frame"), changed)
 
 
 def _moments(connection: Connection, recording_id: int) -> dict[str, tuple[int, int]]:
