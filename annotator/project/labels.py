@@ -194,8 +194,10 @@ class Labels:
         where = {"frame": frame.id, "recording": frame.recording_id, "position": frame.index}
         where |= {"first": frame.index - MOST_BESIDE, "last": frame.index + MOST_BESIDE}
         with self.writer.store.read() as connection:
-            rows = [row for beside in _BESIDE for row in connection.execute(beside, where)]
-            terms, nearest = Terms(connection), sorted(rows, key=lambda row: row.away, reverse=True)
+            terms = Terms(connection)
+            of_both = _BESIDE[: 1 + terms.has_stills]
+            rows = [row for beside in of_both for row in connection.execute(beside, where)]
+            nearest = sorted(rows, key=lambda row: row.away, reverse=True)
             found = {row.track_id: (row.box, row.seen_from) for row in nearest}
             return {track_id: terms.box(*at) for track_id, at in found.items()}
 

@@ -103,6 +103,7 @@ class Terms:
         ids: by name, first those of the project's classes.
         classes: the names of the project's classes, in order.
         key: the names, for caches.
+        has_stills: whether any object stands still.
         of_tracks: the values of tracks that are known, by rig and track.
     """
 
@@ -116,7 +117,7 @@ class Terms:
         stored = self._driver.execute("SELECT recording_id, correction FROM adjustments").fetchall()
         self._corrections = {id: correction for id, correction in stored if moving(correction) is not None}
         shared = "SELECT 1 FROM frames WHERE cloud IS NOT NULL LIMIT 1"
-        self._has_stills = self._driver.execute("SELECT 1 FROM stills LIMIT 1").fetchone() is not None
+        self.has_stills = self._driver.execute("SELECT 1 FROM stills LIMIT 1").fetchone() is not None
         self._are_same = not self._corrections and self._driver.execute(shared).fetchone() is None
         self._of_frames: dict[tuple[int | None, bool], Place] = {}
         self._last_label: int | None = None
@@ -160,7 +161,7 @@ class Terms:
 
     def place(self, frame_id: int | None, in_world: bool = False) -> Place:
         """Where a frame's camera is at its cloud, and with still objects (or `in_world`) in the world."""
-        in_world |= self._has_stills
+        in_world |= self.has_stills
         if self._are_same and not in_world:
             return AT_CAMERA
         if (frame_id, in_world) not in self._of_frames:
