@@ -191,7 +191,7 @@ class StillMade(_Checked):
     """The track of a label stands still: its box becomes the one in the world. An open proposal counts as accepted.
 
     Attributes:
-        still: the uid of the still object; its labels have the uids `still:moment`.
+        still: the uid of the still object; its labels have the uids `still_moment`.
     """
 
     kind = "still_made"

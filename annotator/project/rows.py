@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import re
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -89,10 +90,13 @@ FROM frames JOIN frames AS moments ON moments.id = frames.moment_id WHERE frames
 """
 
 
+_OF_STILL = re.compile(r"([0-9a-f]{32})_[0-9]+")
+
+
 def still_of(uid: str) -> str | None:
     """The uid of the still object that gives a label; None for a label that has a row."""
-    still, is_still, _ = uid.partition(":")
-    return still if is_still else None
+    found = _OF_STILL.fullmatch(uid)
+    return None if found is None else found[1]
 
 
 class Terms:

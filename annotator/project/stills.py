@@ -142,5 +142,5 @@ points = excluded.points, hidden_share = excluded.hidden_share, place = excluded
 
 
 def _keep(connection: Connection, found: Sequence[Sighting]) -> None:
-    rows = [(f"{each.still}:{each.moment_id}", *astuple(each)) for each in found]
+    rows = [(f"{each.still}_{each.moment_id}", *astuple(each)) for each in found]
     driver_of(connection).executemany(_KEEP, rows)

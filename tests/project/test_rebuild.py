@@ -48,6 +48,7 @@ from annotator.project.changes import LabelChanged, Payload, StillMade, TracksLi
 from annotator.project.database.schema import AUDITED, columns_of
 from annotator.project.recordings import SharedCloud
 from annotator.project.records import BoxRecord
+from annotator.project.rows import still_of
 from annotator.project.stills import Sighting
 from annotator.types import BoxKind, Correction, Label, ReviewState
 from annotator.types.errors import ConfigError, HistoryError, ProjectError, StaleRevisionError
@@ -233,7 +234,7 @@ class TwoOperators(RuleBasedStateMachine):
         given = {"state": ReviewState.REJECTED} if is_rejected else {"box": BoxRecord.of(box_at(50.0))}
         take(third, LabelChanged(uid=now.uid, here=True, **given))
         own = shown(third)
-        assert own is not None and ":" not in own.uid and project.stills.of(1)
+        assert own is not None and still_of(own.uid) is None and project.stills.of(1)
         for state in reversed(states):
             project.history.undo(who)
             assert audited(project) == state

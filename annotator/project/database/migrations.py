@@ -377,7 +377,7 @@ CREATE TABLE stills (
     event_id INTEGER NOT NULL REFERENCES events (id)
 )
 """
-# What each moment sees of a still object. uid: that of the label that it gives, `still:moment`. frame_id: of the camera
+# What each moment sees of a still object. uid: that of the label that it gives, `still_moment`. frame_id: of the camera
 # that sees it. points: in the box. hidden_share: of the points in its outline, those before it. place: about where the
 # box was, as JSON, when it was looked for; NULL = an operator has had a box of it there. The rows follow from the
 # recordings and the stills; those may go and come back, so nothing refers to them.
