@@ -5,6 +5,7 @@ import { beforeEach, mock, test } from "node:test";
 import { ApiError } from "../../web_assets/js/errors.js";
 import { createFrameState } from "../../web_assets/js/frame_state.js";
 import { createDesk } from "../../web_assets/js/annotate/desk.js";
+import { createOpening } from "../../web_assets/js/annotate/opening.js";
 import { createPreload } from "../../web_assets/js/annotate/preload.js";
 import { createQueue } from "../../web_assets/js/annotate/queue.js";
 import { copiedText } from "../../web_assets/js/annotate/tracks.js";
@@ -352,6 +353,26 @@ test("what was asked of the queue before another choice is not shown", async () 
     ["b"],
   );
   assert.equal(queue.answered, 1);
+});
+
+test("a frame that cannot be read stays in the address, so that it is not asked for again and again", async () => {
+  const values = new Map();
+  globalThis.sessionStorage = {
+    setItem: (name, value) => values.set(name, value),
+    getItem: (name) => values.get(name),
+  };
+  const gone = [];
+  const app = {
+    ...fakeApp(),
+    loadFrame: () => Promise.reject(new Error("no image")),
+    go: (hash) => gone.push(hash),
+  };
+  const desk = { stored: () => undefined, flush: async () => {}, select() {}, labels: () => [] };
+  const queue = { items: [item("a", 7)], load: async () => {} };
+  const opening = createOpening(app, { desk, queue, onLoading() {}, onProblem() {} });
+  app.state.route = parseHash("#/room/annotate");
+  await opening.begin();
+  assert.deepEqual([opening.broken, gone], [7, ["#/room/annotate/7"]]);
 });
 
 test("addresses name a project, a mode and a frame", () => {

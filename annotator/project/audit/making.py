@@ -260,6 +260,8 @@ def _change(write: Write, payload: LabelChanged, *, is_linked: bool = False) -> 
         values = _with_values(values, payload.attributes, terms.attributes_of(name), name)
         is_own = write.context.source is Source.MANUAL and write.context.effort_target in (None, payload.uid)
         changed["values_set"] = int(is_own or row["values_set"])
+        if terms.of_tracks:  # what is known of its track may be another value now
+            terms.of_tracks.pop((write.rig_id, (row | changed)["track_id"]), None)
     write.put_label(payload.uid, row | changed | {"attributes": values_json(values)}, payload.here)
 
 

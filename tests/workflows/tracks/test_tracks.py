@@ -160,6 +160,9 @@ def test_filled_boxes_are_fitted_in_the_background_until_it_is_stopped(room: Roo
     room.accept_box(4, room.box(4))
     done = apply(people, room.recording, 3, Fill(refit=True), ANN)
     between = {index: label for index in (1, 2, 3) for label in room.labels(index)}
+    revisions = [people.frames.get(frame.id).revision for frame in frames]
+    assert RefitRun(people, done, ANN, lambda _, label: label.box).run().tracks[0].boxes == 0, "none was better"
+    assert [people.frames.get(frame.id).revision for frame in frames] == revisions
 
     def fit(frame: StoredFrame, label: Label) -> OrientedBox:
         index = [each.id for each in frames].index(frame.id)

@@ -150,7 +150,8 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     if (cameras.hidden) return;
     const version = new URLSearchParams(image.url.split("?")[1]).get("v") ?? "";
     const pictureOf = (/** @type {number} */ id) => `${app.path("frames", id)}/image.jpg?width=160&v=${version}`;
-    if (shownFrame !== frame.id) loader.rest();
+    const isOther = shownFrame !== frame.id;
+    if (isOther) loader.rest();
     loader.want(all.map(([, id]) => pictureOf(id)));
     patch(
       cameras,
@@ -170,6 +171,7 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
         });
       }),
     );
+    if (isOther) cameras.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest", inline: "nearest" });
   }
 
   function noteOf(/** @type {FrameState} */ { frame }) {
@@ -178,7 +180,8 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     if (frame.finalised) return "finalised";
     const hint = teach().hint();
     if (hint) return hint;
-    if (desk.shown && desk.shown.better_in !== null) return "Another camera sees this object better. K goes there.";
+    if (desk.shown && desk.shown.better_in !== null)
+      return "Another camera sees this object better: double click on it in the list.";
     return desk.labels().length === 0 ? "Drag a box around an object to add it." : "";
   }
 
