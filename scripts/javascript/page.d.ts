@@ -473,8 +473,18 @@ type Change = {
   image_box?: (Rect & { label: string }) | null;
   suggestion?: Api.Suggestion | null;
 };
-/** A label that the operator is changing: `sending` are the values being sent, `sent` is whether that succeeds. */
-type LabelDraft = { wanted: Wanted; sending: Wanted | null; sent: Promise<boolean>; problem: string | null };
+/**
+ * A label that the operator is changing: `base` is what is changed, as it was stored in the frame's `revision`; `sending`
+ * are the values being sent, `sent` is whether that succeeds.
+ */
+type LabelDraft = {
+  wanted: Wanted;
+  base: Wanted & { uid: string };
+  revision: number;
+  sending: Wanted | null;
+  sent: Promise<boolean>;
+  problem: string | null;
+};
 /** A label that is not stored yet; `actions` is its effort. */
 type NewLabel = {
   label: PageLabel;

@@ -52,13 +52,14 @@ def test_classes_and_attributes_are_changed_and_listed(cars: Path, run: Run) -> 
         "style cars auto --key a",
         "style cars auto --colour ff0000",
         "style cars auto --unset colour",
+        "style cars auto --still",
         "order cars bus,auto",
     ):
         run(f"classes {words}")
     content = json.loads(run("classes list cars --json"))
     assert content["classes"] == [
-        {"name": "bus", "labels": 0, "boxes_2d": 0, "said": 0, "colour": "#3366ff", "key": "b"},
-        {"name": "auto", "labels": 1, "boxes_2d": 0, "said": 0, "colour": None, "key": "a"},
+        {"name": "bus", "labels": 0, "boxes_2d": 0, "said": 0, "colour": "#3366ff", "key": "b", "still": None},
+        {"name": "auto", "labels": 1, "boxes_2d": 0, "said": 0, "colour": None, "key": "a", "still": True},
     ]
     assert content["attributes"] == [
         {
@@ -290,6 +291,21 @@ def test_whole_tracks_change_once_they_are_linked(
     assert "track 9 of people has no boxes" in run("tracks", "fill", "room", "people", "9", code=2)
     said = run("track", "room", "--recordings", "people")
     assert "12 boxes in 3 tracks of 1 recording, 0 changed" in said
+
+
+def test_a_track_is_said_to_stand_still_and_to_move(own_copy: Callable[[str], Path], root: Path, run: Run) -> None:
+    people = own_copy("people")
+    still = [f"{n:06},500000,4649776,0,0,0,0,1" for n in range(5)]
+    (people / "poses.csv").write_text("\n".join(["key,x,y,z,qx,qy,qz,qw", *still]))
+    run("new", "room", "--classes", "person")
+    run("add", "room", people)
+    run("classes style room person --still")
+    assert "track 1 may stand still: person stands still" in run("tracks still room people")
+    assert "(nothing was stored)" in run("tracks still room people 1 --dry-run")
+    said = run("tracks still room people 1 --frame 000002")
+    assert "track 1 (person) stands still, seen in" in said
+    assert "makes" in run("tracks moving room people 1 --frame 000002")
+    assert "does not stand still" in run("tracks moving room people 1", code=2)
 
 
 CAR = "Car 0.00 0 0.10 100.00 120.00 190.00 180.00 1.50 1.60 4.00 2.00 1.60 20.00 0.20"

@@ -5,6 +5,7 @@ import { beforeEach, mock, test } from "node:test";
 import { ApiError } from "../../web_assets/js/errors.js";
 import { createFrameState } from "../../web_assets/js/frame_state.js";
 import { createDesk } from "../../web_assets/js/annotate/desk.js";
+import { createOpening } from "../../web_assets/js/annotate/opening.js";
 import { createPreload } from "../../web_assets/js/annotate/preload.js";
 import { createQueue } from "../../web_assets/js/annotate/queue.js";
 import { copiedText } from "../../web_assets/js/annotate/tracks.js";
@@ -215,7 +216,7 @@ test("a draft that could not be saved is kept with its reason until it is saved 
   let isRefused = true;
   const { app, desk } = deskOf(async (_, { changes: [{ box }] }) => {
     if (isRefused) throw new ApiError(0, "", "The server does not respond");
-    return frameState(4, [{ uid: "a", label: "person", box, track_id: null }]);
+    return { ...frameState(4, [{ uid: "a", label: "person", box, track_id: null }]), moved: 2 };
   });
   assert.equal(await desk.edit({ box: LONGER }), false);
   desk.select(null);
@@ -225,6 +226,7 @@ test("a draft that could not be saved is kept with its reason until it is saved 
   assert.equal(await desk.retry("a"), true);
   assert.equal(desk.unsaved, null);
   assert.deepEqual(app.state.frame.labels[0].box.size, LONGER.size);
+  assert.equal(app.told.at(-1), "2 unreviewed boxes of the track moved along.");
   isRefused = true;
   desk.select("a");
   await desk.edit({ box: BOX });
@@ -265,6 +267,38 @@ test("another track is no new review of the box, and a box that others have dele
   desk.settle();
   assert.deepEqual(app.told, ["Another operator has deleted the box that you were changing."]);
   assert.equal(desk.uid, null);
+});
+
+test("a draft of a box that others have changed meanwhile is sent as one of the older version, so that one is asked", async () => {
+  const sent = [];
+  const stored = (box, label = "person") => [{ uid: "a", label, box, track_id: null }];
+  const { app, desk } = deskOf(async (_, { revision, changes: [{ box }] }) => {
+    sent.push(revision);
+    return frameState(revision + 1, stored(box));
+  });
+  const see = (revision, box, label) => {
+    app.state.frame = frameState(revision, stored(box, label));
+    desk.settle();
+  };
+  desk.preview({ box: LONGER });
+  see(4, BOX);
+  await desk.commit();
+  assert.deepEqual(sent, [4], "another box was changed");
+  desk.preview({ box: BOX });
+  see(6, { ...BOX, size: [3, 1, 1] });
+  await desk.commit();
+  assert.deepEqual(sent, [4, 5], "this one was");
+  // the page's own saving, and a class with another name, are no other version
+  desk.preview({ box: LONGER });
+  const first = desk.commit();
+  desk.preview({ box: { ...BOX, size: [4, 1, 1] } });
+  await Promise.all([first, desk.commit()]);
+  assert.deepEqual(sent, [4, 5, 6, 7]);
+  desk.preview({ box: BOX });
+  desk.rename({ person: "human" });
+  see(9, { ...BOX, size: [4, 1, 1] }, "human");
+  await desk.commit();
+  assert.equal(sent.at(-1), 9);
 });
 
 // -- other things that are waited for
@@ -352,6 +386,26 @@ test("what was asked of the queue before another choice is not shown", async () 
     ["b"],
   );
   assert.equal(queue.answered, 1);
+});
+
+test("a frame that cannot be read stays in the address, so that it is not asked for again and again", async () => {
+  const values = new Map();
+  globalThis.sessionStorage = {
+    setItem: (name, value) => values.set(name, value),
+    getItem: (name) => values.get(name),
+  };
+  const gone = [];
+  const app = {
+    ...fakeApp(),
+    loadFrame: () => Promise.reject(new Error("no image")),
+    go: (hash) => gone.push(hash),
+  };
+  const desk = { stored: () => undefined, flush: async () => {}, select() {}, labels: () => [] };
+  const queue = { items: [item("a", 7)], load: async () => {} };
+  const opening = createOpening(app, { desk, queue, onLoading() {}, onProblem() {} });
+  app.state.route = parseHash("#/room/annotate");
+  await opening.begin();
+  assert.deepEqual([opening.broken, gone], [7, ["#/room/annotate/7"]]);
 });
 
 test("addresses name a project, a mode and a frame", () => {

@@ -421,7 +421,8 @@ def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: 
     if source_id == frame_id:
         raise ConfigError(f"frame {frame.key} cannot be copied into itself")
     source = project.frames.get(source_id)
-    own = (each.label for each in project.labels.of_moment(source_id) if each.is_own)
+    # an object that stands still has its box in the frames that see it
+    own = (each.label for each in project.labels.of_moment(source_id) if each.is_own and each.still is None)
     boxes = [label for label in own if label.state in REVIEWED]
     copies = [proposal_like(label, label.box, label.track_id, origin=Origin.COPIED) for label in boxes]
     # the operator asks for them, also where a wrong box was rejected

@@ -315,7 +315,7 @@ def test_virtual_cameras_share_a_label_and_topics_of_a_bag_are_chosen_with_a_pre
     for go in (lambda: start.get_by_test_id("frame-box").dblclick(), lambda: start.keyboard.press("k")):
         cameras.last.click()
         expect(start).to_have_url(re.compile("/annotate/5$"))
-        expect(start.get_by_test_id("image-note")).to_contain_text("K goes there")
+        expect(start.get_by_test_id("image-note")).to_contain_text("double click")
         go()
         expect(start).to_have_url(re.compile("/annotate/[23]$"))
         expect(selected).to_have_attribute("data-uid", uid)

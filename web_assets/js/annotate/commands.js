@@ -14,6 +14,8 @@ const LABEL_ELSEWHERE =
   "Label the object in a frame that shows more of it; then copy its box here (C: from the previous frame), or fill " +
   "the frames between two reviewed boxes of its track.";
 
+const sentence = (/** @type {string} */ text) => `${text[0].toUpperCase()}${text.slice(1)}`;
+
 /**
  * @param {ModeApp} app
  * @param {object} parts
@@ -99,8 +101,11 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
       if (app.state.frame?.frame.id === frame) desk.select(label.uid);
       return;
     }
-    if (next && !isHere) await opening.go(next, opening.inQueue);
-    else if (!next && kind !== "accept") opening.pick(null);
+    if (next && !isHere) {
+      // others may have moved it, so that this camera sees it best now
+      if (opening.isShown(next.uid)) opening.setLoading(false);
+      await opening.go(next, opening.inQueue);
+    } else if (!next && kind !== "accept") opening.pick(null);
   }
 
   const isReviewed = (/** @type {PageLabel} */ { state }) => state === "accepted" || state === "edited";
@@ -181,7 +186,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
         ...facts
       } = await app.api.post(app.path("frames", id, "fit"), { image_box: box });
       if (app.state.frame?.frame.id !== id || !root.isConnected) return;
-      const why = note ? `${note[0].toUpperCase()}${note.slice(1)}` : "No object was found";
+      const why = sentence(note ?? "no object was found");
       if (fitted) desk.add({ ...facts, box: fitted, label: box.label, image_box: box });
       if (too_few_points) app.toast(`${why}. ${fitted ? CHECK_PLACED : LABEL_ELSEWHERE}`, "warn");
       if (fitted || too_few_points) return;
@@ -209,7 +214,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
       } = await app.api.post(app.path("frames", id, "place"), { point, label: picker.label });
       if (app.state.frame?.frame.id !== id || !root.isConnected) return;
       if (box) desk.add({ ...facts, box, label: picker.label, image_box: null });
-      else app.toast(`${note ?? "Nothing was placed"}`, "warn");
+      else app.toast(sentence(note ?? "nothing was placed"), "warn");
     } catch (error) {
       app.toast(error);
     } finally {

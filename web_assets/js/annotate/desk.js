@@ -106,14 +106,18 @@ export function createDesk(/** @type {App} */ app) {
     /** @type {Change[]} */ changes,
     /** @type {string | null} */ subject,
   ) {
-    const body = { revision: currentFrame(app).frame.revision, changes, subject };
+    // others may have changed a box while this page had a draft of it: then the operator chooses
+    const outdated = changes.map(({ uid: of }) => drafts.get(of ?? null)).find((draft) => draft && isBehind(draft));
+    const body = { revision: outdated?.revision ?? currentFrame(app).frame.revision, changes, subject };
     try {
       const { moved, ...state } = await app.api.change(app.path("frames", id, "changes"), body);
       app.frames.take(state);
+      rebase(changes);
       if (moved > 0) app.toast(`${count(moved, "unreviewed box", "unreviewed boxes")} of the track moved along.`);
     } catch (error) {
       if (isStale(error)) {
         await resolveStale(app, error, { changes, subject, take: app.frames.take });
+        rebase(changes);
         return;
       }
       const choice = isTrackTaken(error) ? await chooseBox(labels(), changes, error) : null;
@@ -159,6 +163,24 @@ export function createDesk(/** @type {App} */ app) {
 
   const isChanged = (/** @type {PageLabel} */ label, /** @type {Wanted} */ wanted) =>
     label.label !== wanted.label || label.track_id !== wanted.track_id || !sameBox(label.box, wanted.box);
+
+  const valuesOf = (/** @type {PageLabel} */ { label, track_id, box }) => ({ label, track_id, box: copyBox(box) });
+
+  /** Whether the stored label is no longer that of which a draft was made. */
+  function isBehind(/** @type {LabelDraft} */ { base }) {
+    const label = stored(base.uid);
+    return label !== null && isChanged(label, base);
+  }
+
+  /** Drafts of labels that this page has just saved are drafts of what is stored now. */
+  function rebase(/** @type {Change[]} */ changes) {
+    for (const { uid: of } of changes) {
+      const [draft, label] = [drafts.get(of ?? null), stored(of)];
+      if (!draft || !label) continue;
+      draft.base = { uid: label.uid, ...valuesOf(label) };
+      draft.revision = currentFrame(app).frame.revision;
+    }
+  }
 
   /** Saves the selected box's draft, if there is one, as one edit that took this many actions. */
   async function commit(actions = 1) {
@@ -362,7 +384,9 @@ export function createDesk(/** @type {App} */ app) {
       const label = stored();
       if (!label) return;
       const draft = drafts.get(uid) ?? {
-        wanted: { label: label.label, track_id: label.track_id, box: copyBox(label.box) },
+        wanted: valuesOf(label),
+        base: { uid: label.uid, ...valuesOf(label) },
+        revision: currentFrame(app).frame.revision,
         sending: null,
         sent: Promise.resolve(true),
         problem: null,
@@ -447,7 +471,8 @@ export function createDesk(/** @type {App} */ app) {
      * @param {Record<string, string>} renamed old name -> new name.
      */
     rename(renamed) {
-      for (const { wanted } of drafts.values()) wanted.label = renamed[wanted.label] ?? wanted.label;
+      for (const { wanted, base } of drafts.values())
+        for (const each of [wanted, base]) each.label = renamed[each.label] ?? each.label;
       for (const entry of added.values()) {
         const label = renamed[entry.label.label] ?? entry.label.label;
         entry.label = { ...entry.label, label };

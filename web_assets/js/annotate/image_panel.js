@@ -10,7 +10,7 @@ import { button, h, patch } from "../dom.js";
 import { createEditor } from "../editor2d/editor.js";
 import { makeHash } from "../router.js";
 import { createLoader } from "../timeline/loader.js";
-import { imageOverlay } from "./drawing.js";
+import { imageOverlay, shortName } from "./drawing.js";
 
 /** A shorter drag draws no box, CSS pixels. */
 const LEAST_DRAG = 8;
@@ -109,11 +109,13 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     void editor.setPicture(url, width, height);
     hint.textContent = noteOf(frame);
     const selected = desk.shown;
-    const others = desk
-      .labels()
-      .filter((label) => label.uid !== selected?.uid && (withRejected.checked || label.state !== "rejected"));
+    const all = desk.labels();
+    const others = all.filter(
+      (label) => label.uid !== selected?.uid && (withRejected.checked || label.state !== "rejected"),
+    );
     const overlays = others.map((label) =>
       imageOverlay(camera, label, {
+        name: shortName(label, all),
         selected: false,
         box: label.isNew || desk.isDraft(label.uid) ? desk.seen(label).box : null,
         ...colorOf(label),
@@ -122,7 +124,13 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     if (selected) {
       const values = valuesText(app, selected);
       overlays.push(
-        imageOverlay(camera, selected, { selected: true, box: selected.box, values, ...colorOf(selected) }),
+        imageOverlay(camera, selected, {
+          name: shortName(selected, all),
+          selected: true,
+          box: selected.box,
+          values,
+          ...colorOf(selected),
+        }),
       );
     }
     editor.setOverlays([...overlays, ...teach().overlays()]);
@@ -150,7 +158,8 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     if (cameras.hidden) return;
     const version = new URLSearchParams(image.url.split("?")[1]).get("v") ?? "";
     const pictureOf = (/** @type {number} */ id) => `${app.path("frames", id)}/image.jpg?width=160&v=${version}`;
-    if (shownFrame !== frame.id) loader.rest();
+    const isOther = shownFrame !== frame.id;
+    if (isOther) loader.rest();
     loader.want(all.map(([, id]) => pictureOf(id)));
     patch(
       cameras,
@@ -170,6 +179,7 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
         });
       }),
     );
+    if (isOther) cameras.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest", inline: "nearest" });
   }
 
   function noteOf(/** @type {FrameState} */ { frame }) {
@@ -178,7 +188,8 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     if (frame.finalised) return "finalised";
     const hint = teach().hint();
     if (hint) return hint;
-    if (desk.shown && desk.shown.better_in !== null) return "Another camera sees this object better. K goes there.";
+    if (desk.shown && desk.shown.better_in !== null)
+      return "Another camera sees this object better: double click on it in the list.";
     return desk.labels().length === 0 ? "Drag a box around an object to add it." : "";
   }
 

@@ -106,8 +106,10 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
   async function go({ frame, uid }, isFromQueue = false) {
     if (isShown(uid)) desk.select(uid);
     else if (!(await open(desk.stored(uid)?.better_in ?? frame, uid, null, false))) return;
-    if (isFromQueue) sessionStorage.setItem(FROM_QUEUE, `${project}/${opened}`);
-    app.go(makeHash(project, "annotate", opened));
+    // an address without a frame would choose this one again if it cannot be read
+    const shown = opened ?? broken;
+    if (isFromQueue) sessionStorage.setItem(FROM_QUEUE, `${project}/${shown}`);
+    app.go(makeHash(project, "annotate", shown));
   }
 
   /** Opens the next or previous frame in time; while the queue has frames to draw on, its next one. */

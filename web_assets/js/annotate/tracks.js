@@ -227,7 +227,8 @@ export function createTracks(
         // nothing happens that was not told before
         const read = note.textContent;
         await telling;
-        if (told === null || note.textContent !== read) throw new Error(note.textContent);
+        if (told === null) throw new Error(note.textContent);
+        if (note.textContent !== read) throw new Error("Read above what this does now, then confirm it.");
         const sent = { ...body(), told: told.count };
         app.effort.action();
         return desk.enqueue(() => app.api.change(path(track), sent));

@@ -100,8 +100,8 @@ export function addRecordings(/** @type {App} */ app, /** @type {string} */ proj
         if (error instanceof ApiError && error.kind === "BrokenStartError")
           leaveOut("Try all frames, and leave out those that cannot be read", {});
       }
-      done.lastElementChild?.scrollIntoView({ block: "nearest" });
     }
+    done.lastElementChild?.scrollIntoView({ block: "nearest" });
   }
 
   return openDialog({
