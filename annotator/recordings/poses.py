@@ -230,21 +230,28 @@ class TrajectoryFile(FileRecord):
 
 def read_open3d(path: Path, count: int) -> tuple[Poses | None, tuple[str, ...]]:
     """Reads the trajectory of Open3D in a folder of `count` frames, a pose for each; None without one. And notes."""
-    logs, jsons = ([path / name for name in names if (path / name).is_file()] for names in (OPEN3D_LOGS, OPEN3D_JSONS))
-    if not (logs or jsons):
-        return None, ()
-    file = (*logs, *jsons)[0]
-    poses = _log_poses(file) if file in logs else _json_poses(file)
-    if len(poses) != count:
-        wrong = f"{file.name} has {amount(len(poses), 'pose')} for {amount(count, 'frame')}, so it is not used"
-        return None, (f"{wrong}; {FILE_NAME} says which pose belongs to which frame.",)
-    return Poses.of_frames(file.name, poses), ()
+    notes = list[str]()
+    for file in (path / name for name in (*OPEN3D_LOGS, *OPEN3D_JSONS)):
+        if not file.is_file():
+            continue
+        poses = _log_poses(file) if file.name in OPEN3D_LOGS else _json_poses(file)
+        if poses is None:
+            notes.append(f"{file.name} is not a trajectory of Open3D, so it is not used.")
+        elif len(poses) == count:
+            return Poses.of_frames(file.name, poses), tuple(notes)
+        else:
+            wrong = f"{file.name} has {amount(len(poses), 'pose')} for {amount(count, 'frame')}, so it is not used"
+            return None, (*notes, f"{wrong}; {FILE_NAME} says which pose belongs to which frame.")
+    return None, tuple(notes)
 
 
-def _log_poses(file: Path) -> list[RigidTransform]:
+def _log_poses(file: Path) -> list[RigidTransform] | None:
+    """Returns the poses of a log; None if it does not begin as one: other programs write files of that name, too."""
     with file_errors(file, REMEDY, kind=RecordingError):
         lines = read_text_file(file, TABLE_BYTES).split("\n")
     rows = [(number, line.split()) for number, line in enumerate(lines, 1) if line.strip()]
+    if not rows or len(rows[0][1]) != 3 or not all(word.lstrip("-").isdecimal() for word in rows[0][1]):
+        return None
     poses = []
     for start in range(0, len(rows), 5):
         (line, head), *matrix = rows[start : start + 5]
@@ -255,9 +262,13 @@ def _log_poses(file: Path) -> list[RigidTransform]:
     return poses
 
 
-def _json_poses(file: Path) -> list[RigidTransform]:
+def _json_poses(file: Path) -> list[RigidTransform] | None:
+    """As `_log_poses`, of a JSON file."""
     with file_errors(file, REMEDY, "not a trajectory: ", RecordingError):
-        content = TrajectoryFile.model_validate_json(read_file(file, TABLE_BYTES))
+        data = read_file(file, TABLE_BYTES)
+        if b'"extrinsic"' not in data:
+            return None
+        content = TrajectoryFile.model_validate_json(data)
     columns = (np.reshape(each.extrinsic, MATRIX).T.ravel().tolist() for each in content.parameters)
     return [pose_of_matrix(file, f"pose {number}", each).inv() for number, each in enumerate(columns)]
 

@@ -185,6 +185,17 @@ def test_a_trajectory_of_other_frames_is_not_used_and_told(tmp_path: Path):
     )
 
 
+def test_files_of_other_programs_with_the_name_of_a_trajectory_are_told(tmp_path: Path):
+    write_rgbd(tmp_path, advancing())
+    put(tmp_path / "odometry.log", "[INFO] the odometry has started\n")
+    put(tmp_path / "trajectory.json", '{"points": []}')
+    assert open_recording(tmp_path).pose_source is None
+    put(tmp_path / "camera_trajectory.json", trajectory())
+    recording = open_recording(tmp_path)
+    assert recording.pose_source == "camera_trajectory.json"
+    assert recording.notes == ("odometry.log is not a trajectory of Open3D, so it is not used.",)
+
+
 def test_gaps_jumps_other_clocks_and_other_units_are_told(tmp_path: Path):
     write_rgbd(tmp_path, wall(12))
     times = [f"{n:06d},{START_NS + n * 100 * MS}\n" for n in range(12)]
