@@ -342,7 +342,9 @@ def frame_from_points(
         rgb=image[px[:, 1], px[:, 0]],
         reflectance=None if reflectance is None else _reflectance(reflectance, np.shape(xyz_m)[0])[rows[seen]],
     )
-    return Frame(key, index, camera, image, cloud, None, up_of(up), None, timestamp_ns, T_world_camera=world_pose(T))
+    world = world_pose(T)
+    ups, in_map = up_of(up), world is not None
+    return Frame(key, index, camera, image, cloud, None, ups, None, timestamp_ns, T_world_camera=world, in_map=in_map)
 
 
 def _on_image(camera: Camera, xyz_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -29,7 +29,7 @@ AUTHOR = "annotator classes"
 ClassName = Annotated[str, arg(help="name of the class.")]
 Colour = Annotated[str | None, arg(metavar="RRGGBB", help="colour on the page, six hexadecimal digits.")]
 Unsettable = Literal["minimum", "maximum", "classes", "default", "key"]
-UnsettableStyle = Literal["colour", "key"]
+UnsettableStyle = Literal["colour", "key", "still"]
 _UNSET = {"classes": ()}
 Key = Annotated[str | None, arg(help="key on the page, one of 0 to 9 and a to z.")]
 
@@ -53,14 +53,16 @@ def style(
     *,
     colour: Colour = None,
     key: Key = None,
+    still: bool = False,
     unset: tuple[UnsettableStyle, ...] = (),
 ) -> None:
-    """Set the colour and the key of a class on the page.
+    """Set the colour and the key of a class on the page, and whether its objects stand still.
 
     Args:
+        still: its objects stand still, such as furniture and signs: `annotator tracks still` names their tracks.
         unset: settings to remove.
     """
-    given = _looks(colour, key)
+    given = _looks(colour, key) | ({"still": True} if still else {})
     _require_one_of_both(given, unset)
     _change(project, lambda config: edit.StyleClass(name=name, style={**given, **dict.fromkeys(unset)})(config))
 
@@ -265,6 +267,7 @@ def _looks(colour: str | None, key: str | None) -> dict[UnsettableStyle, str | N
 def _described(row: ClassRow) -> str:
     said = f"{amount(row.said, 'further 3D box')} of sources" if row.said else ""
     more = [said, f"colour {row.colour}" if row.colour else "", f"key {row.key}" if row.key else ""]
+    more += ["stands still"] if row.still else []
     return ", ".join(filter(None, [amount(row.labels, "label"), amount(row.boxes_2d, "2D box"), *more]))
 
 

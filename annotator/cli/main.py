@@ -75,6 +75,8 @@ COMMANDS: dict[str, Command] = {
     "tracks values": Command("tracks:set_values", "set values of attributes of all boxes of a track"),
     "tracks delete": Command("tracks:delete", "remove the boxes of a track, or of a span of it"),
     "tracks fill": Command("tracks:fill", "fill the frames between a track's boxes"),
+    "tracks still": Command("tracks:still", "say that tracks stand still: one box in the world for all frames"),
+    "tracks moving": Command("tracks:moving", "say that a track moves: a box in each frame again"),
     "generate": Command("demo:generate", "generate a synthetic recording with ground truth"),
     "doctor": Command("doctor:run", "report packages, devices and detector backends, and run a self-test"),
     "demo": Command("demo:demo", "run the whole loop on a generated recording"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -21,6 +22,7 @@ from annotator.workflows.tracks.follow_run import follow_recording
 from annotator.workflows.tracks.link import link_tracks
 from annotator.workflows.tracks.operations import apply
 from annotator.workflows.tracks.refit_run import RefitRun, box_fitter
+from annotator.workflows.tracks.still_objects import candidates, find_sightings, make_moving, make_still
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ready_view, view_with_classes
 
@@ -215,13 +217,80 @@ def fill(
     Args:
         refit: fit every new box to the points of its frame, with the pseudo-view detector if it is trained.
     """
+    # a detector that is broken is told before anything is stored
+    view = ready_view(project) if refit and not span.dry_run else None
     done = _operate(project, recording, track, operations.Fill, span, refit=refit)
     if refit and not span.dry_run:
         source = FrameSource(project)
-        fit = box_fitter(project, lambda frame: OpenFrame(source.read(frame)), ready_view(project))
+        fit = box_fitter(project, lambda frame: OpenFrame(source.read(frame)), view)
         with counted("fit") as progress:
             fitted = RefitRun(project, done, OPERATION_AUTHOR, fit).run(lambda now: progress(now.done, now.total))
-        print_line(f"track {track}: fits {amount(fitted.tracks[0].boxes, 'box')} to the points")
+        (item,) = fitted.tracks
+        print_line(f"track {track}: fits {amount(item.boxes, 'box')} to the points")
+        for stop in item.stops:
+            print_line(f"  not in frame {stop.key}: {stop.reason}")
+
+
+FrameName = Annotated[str | None, arg(help="name of a frame of the recording.", help_behavior_hint="")]
+
+
+def still(
+    project: Project,
+    recording: RecordingName,
+    tracks: Annotated[
+        tuple[int, ...], arg(help="numbers of tracks; without any, those that may stand still are named.")
+    ] = (),
+    /,
+    *,
+    frame: FrameName = None,
+    dry_run: bool = False,
+) -> None:
+    """Say that tracks stand still: each has one box in the world, which every frame that sees it shows, as reviewed.
+
+    The recording must say where its camera was. In other frames, proposals of the track go, and reviewed boxes that
+    agree with this one; others stay as exceptions. Then all frames are looked through for the objects. Run the command
+    again after corrections, and for new frames.
+
+    Args:
+        frame: whose box of the track it is; default: the first reviewed one.
+        dry_run: only say what it would do.
+    """
+    chosen = project.recordings.find(recording).id
+    at = None if frame is None else project.frames.find(chosen, frame).id
+    for track in tracks:
+        done = make_still(project, chosen, track, OPERATION_AUTHOR, frame_id=at, dry_run=dry_run)
+        print_line(f"track {track}: {done.words()}{' (nothing was stored)' if dry_run else ''}")
+    for track, why in () if tracks else candidates(project, chosen).items():
+        print_line(f"track {track} may stand still: {why}")
+    if dry_run:
+        return
+    with counted("look") as progress:
+        looked = find_sightings(project, chosen, near=at, progress=progress)
+    seen = Counter(each.label.track_id for each in project.labels.along(chosen) if each.still is not None)
+    for one in project.stills.of(chosen):
+        print_line(f"track {one.track_id} ({one.label}) stands still, seen in {amount(seen[one.track_id], 'frame')}")
+    print_line(f"looked through {amount(looked, 'frame')}")
+
+
+def moving(
+    project: Project,
+    recording: RecordingName,
+    track: TrackNumber,
+    /,
+    *,
+    frame: FrameName = None,
+    dry_run: bool = False,
+) -> None:
+    """Say that a track moves: its one box in the world becomes a box of each frame that sees it.
+
+    Args:
+        frame: in which the box stays reviewed; default: the first. In the others it is a proposal.
+        dry_run: only say what it would do.
+    """
+    chosen = project.recordings.find(recording).id
+    at = None if frame is None else project.frames.find(chosen, frame).id
+    done = make_moving(project, chosen, track, OPERATION_AUTHOR, frame_id=at, dry_run=dry_run)
+    print_line(f"track {track}: {done.words()}{' (nothing was stored)' if dry_run else ''}")
 
 
 def _operate(

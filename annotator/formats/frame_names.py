@@ -333,14 +333,20 @@ def of_recording(frame: Frame) -> RigidTransform | None:
 def in_world(T_world_there: RigidTransform | None) -> Pose | None:
     """The pose of boxes relative to the camera of an exported frame.
 
-    Its place in the map is another than that of the project's frame if the recording was added with another origin.
+    In a map of the clouds, its place is another than that of the project's frame if the recording was added with
+    another origin. Poses may have been corrected since, which moves no box before its camera.
 
     Args:
         T_world_there: where the dataset says that its camera is; None if it does not.
     """
     if T_world_there is None:
         return None
-    return lambda frame: None if frame.T_world_camera is None else frame.T_world_camera.inv() * T_world_there
+
+    def pose(frame: Frame) -> RigidTransform | None:
+        T = frame.T_world_camera if frame.in_map else None
+        return None if T is None else T.inv() * T_world_there
+
+    return pose
 
 
 @dataclass(frozen=True)

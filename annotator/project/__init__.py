@@ -12,8 +12,8 @@ from annotator.project.jobs import Status
 from annotator.project.labels import MOST_BESIDE, REVIEWED, StoredLabel
 from annotator.project.log import FramePart, new_action
 from annotator.project.models import StoredModel
+from annotator.project.progress.statistics import Statistics
 from annotator.project.project import ListedProject, Project, create_project, list_projects, open_project
 from annotator.project.proposals import RunShare
 from annotator.project.recordings import StoredRecording
 from annotator.project.records import ViewGeometry
-from annotator.project.statistics import Statistics

@@ -28,12 +28,13 @@ class Origin(StrEnum):
     """How an operator made a label that no detector proposed.
 
     DRAWN: by 2D boxes on the image and on pseudo-views. PLACED: as a 3D box. COPIED: from another frame; copies are
-    open until they are reviewed.
+    open until they are reviewed. STILL: of an object that stands still, from any frame.
     """
 
     DRAWN = "drawn"
     PLACED = "placed"
     COPIED = "copied"
+    STILL = "still"
 
 
 class Payload:
@@ -153,6 +154,7 @@ class LabelChanged(_Checked):
             operator made the 3D box, and an earlier suggestion counts as corrected.
         box_kind: what the new 3D box encloses.
         attributes: values to set; None removes one.
+        here: of an object that stands still: only in this frame, which gets a box of its own.
     """
 
     kind = "label_changed"
@@ -165,6 +167,7 @@ class LabelChanged(_Checked):
     suggestion: Suggestion | None = None
     box_kind: BoxKind | None = None
     attributes: ChangedValues = Field(default_factory=dict)
+    here: bool = False
 
 
 class TracksLinked(_Checked):
@@ -176,9 +179,30 @@ class TracksLinked(_Checked):
 
 
 class LabelDeleted(_Checked):
-    """Removes the label; a later pass may propose the object again."""
+    """Removes the label; a later pass may propose the object again. `here`: an object that stands still is not visible
+    in this frame."""
 
     kind = "label_deleted"
+    uid: Uid
+    here: bool = False
+
+
+class StillMade(_Checked):
+    """The track of a label stands still: its box becomes the one in the world. An open proposal counts as accepted.
+
+    Attributes:
+        still: the uid of the still object; its labels have the uids `still_moment`.
+    """
+
+    kind = "still_made"
+    uid: Uid
+    still: Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")] = Field(default_factory=new_uid)
+
+
+class StillEnded(_Checked):
+    """The object of a label is no longer said to stand still."""
+
+    kind = "still_ended"
     uid: Uid
 
 

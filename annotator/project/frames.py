@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from bisect import bisect_right
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
-from sqlalchemy import bindparam, func, select
+from sqlalchemy import Connection, bindparam, func, select
 
 from annotator.project.audit.writing import Receipt, WriteContext
 from annotator.project.changes import FrameAttributesSet, FrameFinalised
@@ -60,6 +62,11 @@ class Frames:
                 f"recording {recording_id} has no frame {key!r}; if the frame is new, scan the recording again"
             )
         return frame_of(row)
+
+    def numbers(self, frame_ids: Collection[int]) -> dict[int, int]:
+        """As `numbers_of`."""
+        with self.writer.store.read() as connection:
+            return numbers_of(connection, frame_ids)
 
     def of(self, recordings: Sequence[int] | None = None) -> tuple[StoredFrame, ...]:
         """The frames of some recordings (default: all) in order; those without an index come last."""
@@ -131,3 +138,26 @@ _FRAME = select(frames).where(frames.c.id == bindparam("frame"), KEPT)
 def frame_of(row: AnyRow) -> StoredFrame:
     """The frame of a table row."""
     return StoredFrame(row.id, row.recording_id, row.key, row.position, row.revision, row.finalised, row.moment_id)
+
+
+def numbers_of(connection: Connection, frame_ids: Collection[int]) -> dict[int, int]:
+    """What the page calls each frame: its number, from 1, among those that its recording's latest scan has found.
+
+    Frames that it has not found are left out. `frame_ids`: of a page, not of a whole project, since each is a parameter
+    of the query.
+    """
+    wanted = select(frames.c.id, frames.c.recording_id, frames.c.position)
+    wanted = wanted.where(frames.c.id.in_(frame_ids), frames.c.position.is_not(None))
+    found: dict[int, int] = {}
+    ordered = connection.execute(wanted.order_by(frames.c.recording_id, frames.c.position)).all()
+    for recording_id, group in groupby(ordered, key=lambda row: row.recording_id):
+        rows = list(group)
+        most = rows[-1].position
+        before = (frames.c.recording_id == recording_id) & (frames.c.position <= most)
+        positions: Sequence[int] = range(most + 1)
+        # frames that cannot be read may have been left out
+        if connection.execute(select(func.count()).where(before)).scalar_one() <= most:
+            query = select(frames.c.position).where(before).order_by(frames.c.position)
+            positions = connection.execute(query).scalars().all()
+        found |= {row.id: bisect_right(positions, row.position) for row in rows}
+    return found

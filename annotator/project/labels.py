@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
-from sqlalchemy import Connection, Select, and_, bindparam, case, func, or_, select
+from sqlalchemy import Connection, Select, Table, and_, bindparam, case, func, or_, select, true
 
 from annotator.project.audit.writing import Receipt, WriteContext
 from annotator.project.changes import (
@@ -20,12 +20,26 @@ from annotator.project.changes import (
 )
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.classes.values import is_kept, labels_of_tracks
-from annotator.project.database.schema import ALL_LABELS, LABELS_OF_MOMENT, MOMENT, AnyRow, frames, labels
+from annotator.project.database.schema import (
+    ALL_LABELS,
+    BOTH_LABELS,
+    LABELS_OF_MOMENT,
+    MOMENT,
+    AnyRow,
+    classes,
+    frames,
+    labels,
+    own_labels,
+    recordings,
+    sightings,
+    still_labels,
+    stills,
+)
 from annotator.project.frames import StoredFrame
 from annotator.project.log import Writer, new_action
 from annotator.project.recordings import of_rig
 from annotator.project.records import OWN, BoxRecord, storable, suggestion_of
-from annotator.project.rows import Names, Place, Terms, box_2d_of, box_of, said_in, values_of
+from annotator.project.rows import Names, Place, Terms, box_2d_of, box_of, said_in, still_of, values_of
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source
 from annotator.types.errors import NotFoundError
 from annotator.types.label import AttributeValue, Said
@@ -62,6 +76,11 @@ class StoredLabel:
     def is_own(self) -> bool:
         """Whether it was made in this frame, not in that of another camera of the moment."""
         return self.made_in == self.frame_id
+
+    @property
+    def still(self) -> str | None:
+        """The uid of the object that stands still and gives this label; None for a label of this moment alone."""
+        return still_of(self.label.uid)
 
 
 @dataclass(frozen=True)
@@ -110,7 +129,7 @@ class Labels:
                 T = terms.T_camera_cloud(frame_id)
                 center_m = box.center_m if T is None else T.inv().apply(box.center_m)
                 places.append((frame_id, *center_m.tolist(), float(box.size_m.sum()) / 2, track_id))
-            rows = connection.execute(_NEAR, {"places": json.dumps(places)}).all()
+            rows = [row for near in _NEAR for row in connection.execute(near, {"places": json.dumps(places)})]
             for each in stored_labels(connection, rows, [row.seen_from for row in rows]):
                 found[each.frame_id][each.label.uid] = each
         return {frame_id: tuple(by_uid.values()) for frame_id, by_uid in found.items()}
@@ -139,8 +158,10 @@ class Labels:
 
         `REVIEWED` holds accepted and edited.
         """
-        query = _filtered(select(labels), states, recordings, classes)
-        ordered = query.order_by(frames.c.recording_id, frames.c.position.nulls_last(), frames.c.id, labels.c.id)
+        # SQLite opens up the union of `labels` only if the columns of the order are among those of the result
+        place = frames.c.recording_id, frames.c.position.nulls_last(), labels.c.frame_id, labels.c.id
+        query = select(labels, frames.c.recording_id, frames.c.position)
+        ordered = _filtered(query, labels, states, recordings, classes).order_by(*place)
         with self.writer.store.read() as connection:
             return stored_labels(connection, connection.execute(ordered).all())
 
@@ -152,7 +173,8 @@ class Labels:
         tracks: Collection[int] | None = None,
     ) -> tuple[StoredLabel, ...]:
         """The labels of a recording's moments as its camera sees them, ordered by frame."""
-        query = select(labels, frames.c.id.label("seen_from")).join(frames, frames.c.moment_id == labels.c.moment_id)
+        query = select(labels, frames.c.id.label("seen_from"), frames.c.position)
+        query = query.join(frames, frames.c.moment_id == labels.c.moment_id)
         query = query.where(frames.c.recording_id == recording_id)
         if states is not None:
             query = query.where(labels.c.state.in_([state.value for state in states]))
@@ -172,45 +194,64 @@ class Labels:
         where = {"frame": frame.id, "recording": frame.recording_id, "position": frame.index}
         where |= {"first": frame.index - MOST_BESIDE, "last": frame.index + MOST_BESIDE}
         with self.writer.store.read() as connection:
-            rows = connection.execute(_BESIDE, where).all()
             terms = Terms(connection)
-            return {row.track_id: terms.box(row.box, row.seen_from) for row in rows}
+            of_both = _BESIDE[: 1 + terms.has_stills]
+            rows = [row for beside in of_both for row in connection.execute(beside, where)]
+            nearest = sorted(rows, key=lambda row: row.away, reverse=True)
+            found = {row.track_id: (row.box, row.seen_from) for row in nearest}
+            return {track_id: terms.box(*at) for track_id, at in found.items()}
 
     def next_track_id(self, recording_id: int) -> int:
         """1 + the highest track id of a recording's rig, at least 1."""
         query = select(func.max(ALL_LABELS.c.track_id)).join(frames, frames.c.id == ALL_LABELS.c.frame_id)
+        rig = select(recordings.c.rig_id).where(recordings.c.id == recording_id).scalar_subquery()
+        still = select(func.max(stills.c.track_id)).where(stills.c.rig_id == rig)
         with self.writer.store.read() as connection:
-            return max(0, connection.execute(query.where(of_rig(recording_id))).scalar() or 0) + 1
+            return 1 + max(
+                connection.execute(each).scalar() or 0 for each in (query.where(of_rig(recording_id)), still)
+            )
 
     def recent(self, most: int, *, label: str | None = None, recording: int | None = None) -> tuple[StoredLabel, ...]:
-        """The latest reviewed labels of whole objects (of a class, of a recording), the newest first."""
-        whole = select(labels.c.id).where(labels.c.box_kind == BoxKind.BOX.value)
+        """The latest reviewed labels of whole objects (of a class, of a recording), the newest first.
+
+        After them, one of each object that stands still.
+        """
+        whole = select(own_labels.c.id).where(own_labels.c.box_kind == BoxKind.BOX.value)
         if label is not None:
-            whole = whole.where(labels.c.label == label)
+            whole = whole.where(own_labels.c.label == label)
         if recording is not None:
-            whole = whole.join(frames, frames.c.id == labels.c.frame_id).where(frames.c.recording_id == recording)
+            whole = whole.join(frames, frames.c.id == own_labels.c.frame_id)
+            whole = whole.where(frames.c.recording_id == recording)
         # one query for each state, so that the index gives the order
         latest = [
-            whole.where(labels.c.state == state.value).order_by(labels.c.id.desc()).limit(most) for state in REVIEWED
+            whole.where(own_labels.c.state == state.value).order_by(own_labels.c.id.desc()).limit(most)
+            for state in REVIEWED
         ]
         with self.writer.store.read() as connection:
             ids = sorted((id_ for query in latest for id_ in connection.execute(query).scalars()), reverse=True)[:most]
-            query = select(labels).where(labels.c.id.in_(ids)).order_by(labels.c.id.desc())
-            return stored_labels(connection, connection.execute(query).all())
+            query = select(own_labels).where(own_labels.c.id.in_(ids)).order_by(own_labels.c.id.desc())
+            rows = list(connection.execute(query))
+            if len(rows) < most:
+                query = _first_sightings(label, recording).limit(most - len(rows))
+                seen = [row.uid for row in connection.execute(query) if row.uid is not None]
+                rows += (
+                    connection.execute(select(still_labels).where(still_labels.c.uid.in_(seen))).all() if seen else ()
+                )
+            return stored_labels(connection, rows)
 
     def count(self, states: Collection[ReviewState] | None = None, recordings: Collection[int] | None = None) -> int:
         """Number of labels; None = no condition."""
-        query = _filtered(select(func.count()), states, recordings, None)
+        queries = [_filtered(select(func.count()), each, states, recordings, None) for each in BOTH_LABELS]
         with self.writer.store.read() as connection:
-            return int(connection.execute(query).scalar_one())
+            return sum(int(connection.execute(query).scalar_one()) for query in queries)
 
     def frames(
         self, *, states: Collection[ReviewState] | None = None, recordings: Collection[int] | None = None
     ) -> frozenset[int]:
         """Ids of the frames with at least one such label."""
-        query = _filtered(select(labels.c.frame_id).distinct(), states, recordings, None)
+        queries = [_filtered(select(of.c.frame_id).distinct(), of, states, recordings, None) for of in BOTH_LABELS]
         with self.writer.store.read() as connection:
-            return frozenset(connection.execute(query).scalars())
+            return frozenset(id for query in queries for id in connection.execute(query).scalars())
 
     def create(
         self, frame_id: int, new: Sequence[NewLabel], context: WriteContext, action: str | None = None
@@ -261,11 +302,15 @@ class Labels:
             payloads = {frame_id: [LabelChanged(uid=uid, attributes=dict(changed))]}
             revisions = {frame_id: context.revision}
             track = connection.execute(select(labels.c.track_id).where(labels.c.uid == uid)).scalar()
+            # an object that stands still is changed once
+            known = {still_of(uid)} - {None}
             if along and track is not None:
                 for row in connection.execute(labels_of_tracks(frame_id, [track])):
                     # a track whose classes differ is a mistake, but no obstacle
                     same_values = {each.name: changed[each.name] for each in along if each.is_of(row.label)}
-                    if row.uid != uid and same_values:
+                    is_same = row.uid == uid or still_of(row.uid) in known
+                    known |= {still_of(row.uid)} - {None}
+                    if not is_same and same_values:
                         revisions.setdefault(row.frame_id, row.revision)
                         same = LabelChanged(uid=row.uid, attributes=same_values)
                         payloads.setdefault(row.frame_id, []).append(same)
@@ -302,48 +347,66 @@ _BEHIND = (
 )
 # SQLite gives the other columns of the row with the minimum: frames before this one first, then the nearest
 _PLACE = frames.c.position - bindparam("position")
-_BESIDE = (
+_BESIDE = [
     select(
-        labels.c.track_id,
-        labels.c.box,
+        of.c.track_id,
+        of.c.box,
         frames.c.id.label("seen_from"),
-        func.min(case((_PLACE < 0, -_PLACE), else_=_PLACE + MOST_BESIDE)),
+        func.min(case((_PLACE < 0, -_PLACE), else_=_PLACE + MOST_BESIDE)).label("away"),
     )
-    .join(frames, frames.c.moment_id == labels.c.moment_id)
+    .join(frames, frames.c.moment_id == of.c.moment_id)
     .where(
         frames.c.recording_id == bindparam("recording"),
         frames.c.position.between(bindparam("first"), bindparam("last")),
         frames.c.id != bindparam("frame"),
-        labels.c.state != ReviewState.REJECTED.value,
-        labels.c.track_id.in_(select(labels.c.track_id).where(labels.c.moment_id == MOMENT)),
+        of.c.state != ReviewState.REJECTED.value,
+        of.c.track_id.in_(select(labels.c.track_id).where(labels.c.moment_id == MOMENT)),
     )
-    .group_by(labels.c.track_id)
-)
+    .group_by(of.c.track_id)
+    for of in BOTH_LABELS
+]
 _IDS = func.json_each(bindparam("ids")).table_valued("value")
 # a place: frame, centre, half the sum of the sides, which is more than half the diagonal, and track
 _PLACES = func.json_each(bindparam("places")).table_valued("value")
 _FRAME, _X, _Y, _Z, _REACH, _TRACK = (func.json_extract(_PLACES.c.value, f"$[{n}]") for n in range(6))
 _CENTER, _SIZE = (
-    [func.json_extract(labels.c.box, f"$.{name}[{axis}]") for axis in range(3)] for name in ("center_m", "size_m")
+    [func.json_extract(own_labels.c.box, f"$.{name}[{axis}]") for axis in range(3)] for name in ("center_m", "size_m")
 )
 _IS_NEAR = (
     func.abs(own - other) <= _REACH + (_SIZE[0] + _SIZE[1] + _SIZE[2]) / 2
     for own, other in zip(_CENTER, (_X, _Y, _Z), strict=True)
 )
-_NEAR = (
-    select(labels, frames.c.id.label("seen_from"))
+# those that stand still, whose boxes lie in another frame of coordinates, and are few, are near in any case
+_NEAR = [
+    select(of, frames.c.id.label("seen_from"))
     .select_from(_PLACES)
     .join(frames, frames.c.id == _FRAME)
-    .join(labels, labels.c.moment_id == frames.c.moment_id)
-    .where(or_(labels.c.track_id == _TRACK, and_(*_IS_NEAR)))
-    .order_by(labels.c.id)
-)
+    .join(of, of.c.moment_id == frames.c.moment_id)
+    .where(is_near)
+    .order_by(of.c.id)
+    for of, is_near in ((own_labels, or_(own_labels.c.track_id == _TRACK, and_(*_IS_NEAR))), (still_labels, true()))
+]
 _VALUES_SET = (
-    select(labels)
-    .join(frames, frames.c.moment_id == labels.c.moment_id)
-    .where(frames.c.id.in_(select(_IDS.c.value)), labels.c.values_set.is_(True))
+    select(own_labels)
+    .join(frames, frames.c.moment_id == own_labels.c.moment_id)
+    .where(frames.c.id.in_(select(_IDS.c.value)), own_labels.c.values_set.is_(True))
 )
-_DRAWN = select(labels.c.uid).where(labels.c.uid.in_(select(_SHOWN.c.value)), labels.c.image_box.is_not(None))
+_DRAWN = select(own_labels.c.uid).where(
+    own_labels.c.uid.in_(select(_SHOWN.c.value)), own_labels.c.image_box.is_not(None)
+)
+
+
+def _first_sightings(label: str | None, recording: int | None) -> Select[Any]:
+    """Query for the uid of the first label of each reviewed still object, the newest object first."""
+    seen = select(sightings.c.uid).where(sightings.c.still == stills.c.uid, sightings.c.seen)
+    uid = seen.order_by(sightings.c.id).limit(1).scalar_subquery().label("uid")
+    query = select(uid).where(stills.c.box_kind == BoxKind.BOX.value, stills.c.state.in_(REVIEWED))
+    if label is not None:
+        query = query.join(classes, classes.c.id == stills.c.class_id).where(classes.c.name == label)
+    if recording is not None:
+        rig = select(recordings.c.rig_id).where(recordings.c.id == recording).scalar_subquery()
+        query = query.where(stills.c.rig_id == rig)
+    return query.order_by(stills.c.time_ns.desc())
 
 
 def read_stored(connection: Connection, frame_id: int) -> tuple[StoredLabel, ...]:
@@ -422,15 +485,16 @@ def _quality(row: AnyRow) -> Quality | None:
 
 def _filtered(
     query: Select[Any],
+    of: Table,
     states: Collection[ReviewState] | None,
     recordings: Collection[int] | None,
     classes: Collection[str] | None,
 ) -> Select[Any]:
-    query = query.join_from(labels, frames, frames.c.id == labels.c.frame_id)
+    query = query.join_from(of, frames, frames.c.id == of.c.frame_id)
     if states is not None:
-        query = query.where(labels.c.state.in_([state.value for state in states]))
+        query = query.where(of.c.state.in_([state.value for state in states]))
     if recordings is not None:
         query = query.where(frames.c.recording_id.in_(recordings))
     if classes is not None:
-        query = query.where(labels.c.label.in_(classes))
+        query = query.where(of.c.label.in_(classes))
     return query

@@ -58,13 +58,13 @@ def read_lanes(store: Store, recording_id: int) -> Lanes:
     present = (frames.c.recording_id == recording_id) & frames.c.position.is_not(None)
     level = case(
         (labels.c.state.in_([state.value for state in REVIEWED]), 0),
-        else_=1 + cast(func.round((LEVELS - 1) * func.coalesce(label_doubt(), 0.0)), Integer),
+        else_=1 + cast(func.round((LEVELS - 1) * func.coalesce(label_doubt(labels), 0.0)), Integer),
     )
     boxes = (
-        select(labels.c.track_id, frames.c.id, labels.c.class_id, level)
+        select(labels.c.track_id, frames.c.id, labels.c.class_id, level.label("level"), frames.c.position)
         .join(frames, frames.c.moment_id == labels.c.moment_id)
         .where(present, labels.c.state != ReviewState.REJECTED.value)
-        .order_by(labels.c.track_id, frames.c.position, level)
+        .order_by(labels.c.track_id, frames.c.position, "level")
     )
     with store.read() as connection:
         names = Terms(connection).names
@@ -75,7 +75,8 @@ def read_lanes(store: Store, recording_id: int) -> Lanes:
     for track_id, group in groupby(rows, key=lambda row: row[0]):
         # of several in a frame, the last one
         at = {
-            places[frame]: (None if track_id is None else names[class_id], level) for _, frame, class_id, level in group
+            places[frame]: (None if track_id is None else names[class_id], level)
+            for _, frame, class_id, level, _ in group
         }
         lanes.append(Lane(track_id, tuple(_spans(at.items()))))
     lanes.sort(key=lambda lane: (lane.track_id is None, lane.spans[0][0]))

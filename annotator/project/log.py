@@ -12,7 +12,7 @@ from annotator.project.audit.events import Event, in_moment_of, read_events, reb
 from annotator.project.audit.making import make
 from annotator.project.audit.writing import Receipt, Write, WriteContext
 from annotator.project.changes import Payload, ViewBoxesSet
-from annotator.project.database.schema import ALL_LABELS, events, frames
+from annotator.project.database.schema import ALL_LABELS, events, frames, recordings, sightings, stills
 from annotator.project.database.store import Store, driver_of
 from annotator.project.recordings import of_rig
 from annotator.project.records import storable
@@ -31,6 +31,13 @@ _CHANGED = (
     .where(events.c.id > bindparam("after"))
     .group_by(frames.c.id)  # SQLite takes the other columns from the row with the maximum
     .order_by(_LAST)
+)
+_STILL_CHANGED = (
+    select(frames.c.id, frames.c.revision, stills.c.author)
+    .join(sightings, sightings.c.moment_id == frames.c.moment_id)
+    .join(stills, stills.c.uid == sightings.c.still)
+    .where(stills.c.event_id > bindparam("after"), sightings.c.seen)
+    .group_by(frames.c.id)
 )
 # By the driver: an operation on a track writes to thousands of frames.
 _FRAME = (
@@ -107,8 +114,10 @@ class Writer:
                 here = frames.alias()
                 recording = select(here.c.recording_id).where(here.c.id == parts[0].frame_id).scalar_subquery()
                 used = select(ALL_LABELS.c.track_id).join(frames, frames.c.id == ALL_LABELS.c.frame_id)
-                used = used.where(of_rig(recording), ALL_LABELS.c.track_id.in_(new_tracks)).limit(1)
-                if (track_id := connection.execute(used).scalar()) is not None:
+                used = used.where(of_rig(recording), ALL_LABELS.c.track_id.in_(new_tracks))
+                rig = select(recordings.c.rig_id).where(recordings.c.id == recording).scalar_subquery()
+                still = select(stills.c.track_id).where(stills.c.rig_id == rig, stills.c.track_id.in_(new_tracks))
+                if (track_id := connection.execute(used.union_all(still).limit(1)).scalar()) is not None:
                     taken = f"track {track_id} has been given to another object in the meantime; try again"
                     raise TrackTakenError(taken, track_id)
             action, terms = action or new_action(), Terms(connection)
@@ -146,15 +155,20 @@ class Writer:
         with self.store.read() as connection:
             return int(connection.execute(_NEWEST).scalar_one())
 
-    def changed_frames(self, event_id: int) -> tuple[int, tuple[ChangedFrame, ...]]:
-        """The id of the newest event, and the frames whose moments changed after the event `event_id`."""
+    def changed_frames(self, event_id: int, shown: Collection[int] = ()) -> tuple[int, tuple[ChangedFrame, ...]]:
+        """The id of the newest event, and the frames whose moments changed after the event `event_id`.
+
+        Args:
+            shown: frames of which changed still objects matter, too: thousands may see one.
+        """
         with self.store.read() as connection:
             newest = int(connection.execute(_NEWEST).scalar_one())
             if newest <= event_id:
                 return newest, ()
-            return newest, tuple(
-                ChangedFrame(row[0], row[1], row[2]) for row in connection.execute(_CHANGED, {"after": event_id})
-            )
+            rows = [tuple(row[:3]) for row in connection.execute(_CHANGED, {"after": event_id})]
+            seen = _STILL_CHANGED.where(frames.c.id.in_(shown), frames.c.id.not_in([row[0] for row in rows]))
+            rows += map(tuple, connection.execute(seen, {"after": event_id}) if shown else ())
+            return newest, tuple(ChangedFrame(*row) for row in rows)
 
     def rebuild(self) -> int:
         """Makes the audited tables anew from all events, of which it returns the number; an intact state stays."""

@@ -110,6 +110,7 @@ class ClassRow(Strict):
     said: int
     colour: str | None
     key: str | None
+    still: bool | None
 
 
 class ClassList(Strict):
@@ -136,4 +137,4 @@ def list_classes(project: Project) -> ClassList:
 
 def _row(name: str, counts: Mapping[str, ClassCounts], styles: Mapping[str, ClassStyle]) -> ClassRow:
     count, style = counts.get(name, ClassCounts()), styles.get(name, ClassStyle())
-    return ClassRow(name=name, **vars(count), colour=style.colour, key=style.key)
+    return ClassRow(name=name, **vars(count), colour=style.colour, key=style.key, still=style.still)

@@ -39,10 +39,11 @@ from annotator.project.labels import Labels
 from annotator.project.log import Writer
 from annotator.project.models import Models
 from annotator.project.progress.report import ReviewReader
+from annotator.project.progress.statistics import Statistics, read_statistics
 from annotator.project.proposals import Proposals
 from annotator.project.recordings import Recordings
 from annotator.project.rows import Terms
-from annotator.project.statistics import Statistics, read_statistics
+from annotator.project.stills import Stills
 from annotator.types.errors import RESTORE, ConfigError, ProjectError
 from annotator.types.messages import first_problem
 
@@ -72,6 +73,7 @@ class Project:
         self.adjustments = Adjustments(writer)
         self.frames = Frames(writer)
         self.labels = Labels(writer)
+        self.stills = Stills(writer)
         self.proposals = Proposals(writer)
         self.boxes = Boxes(writer, self.views)
         self.jobs = Jobs(store)

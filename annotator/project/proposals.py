@@ -11,7 +11,8 @@ from sqlalchemy import select
 from annotator.project.audit.making import make
 from annotator.project.audit.writing import Receipt, Write, WriteContext
 from annotator.project.changes import NewLabel, ProposalsReplaced
-from annotator.project.database.schema import frames, labels, passes
+from annotator.project.database.schema import frames, passes
+from annotator.project.database.schema import own_labels as labels
 from annotator.project.database.store import driver_of
 from annotator.project.jobs import read_run, record_result
 from annotator.project.labels import read_stored

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
-from sqlalchemy import ColumnElement, Connection, ScalarSelect, bindparam, func, insert, select, update
+from sqlalchemy import ColumnElement, Connection, ScalarSelect, bindparam, func, insert, select, text, update
 
 from annotator.project.adjusting import adjustment_in, unit_up
 from annotator.project.audit.events import hide_removed
@@ -56,6 +56,7 @@ class SharedCloud:
     T_cloud_camera: RigidTransform
 
 
+Poses = Mapping[str, RigidTransform]
 NO_CLOUDS: Mapping[str, SharedCloud] = MappingProxyType({})
 _OF_RIG, _OWN = recordings.alias(), frames.alias()
 
@@ -133,6 +134,7 @@ class Recordings:
         fingerprint: str | None = None,
         left_out: Collection[str] = (),
         clouds: Mapping[str, SharedCloud] = NO_CLOUDS,
+        poses: Poses | None = None,
     ) -> StoredRecording:
         """Registers a recording and its frames, at revision 0.
 
@@ -141,6 +143,7 @@ class Recordings:
             up: vector against gravity in the camera frame (3,), any length.
             left_out: keys of frames that get no index, as if a scan had not found them.
             clouds: by key, of a camera of a rig.
+            poses: by key, `T_world_camera`, without corrections; None = they stay as they are stored.
         """
         path = path.resolve()
         _require_unique(path, keys)
@@ -165,7 +168,7 @@ class Recordings:
             }
             row["rig_id"] = row["rig_id"] or number
             connection.execute(insert(recordings), row)
-            _update_frames(connection, number, {}, _indices(keys, left_out), clouds)
+            _update_frames(connection, number, {}, _indices(keys, left_out), clouds, poses)
             return _recording(connection, number)
 
     def rescan(
@@ -175,6 +178,7 @@ class Recordings:
         fingerprint: str | None = None,
         left_out: Collection[str] = (),
         clouds: Mapping[str, SharedCloud] = NO_CLOUDS,
+        poses: Poses | None = None,
     ) -> Rescan:
         """Updates a recording's frames: new ones are added; missing ones stay, without an index.
 
@@ -187,7 +191,7 @@ class Recordings:
             before = _recording(connection, recording_id, removed=True)
             _require_unique(before.path, keys)
             known = _positions(connection, recording_id)
-            new = _update_frames(connection, recording_id, known, _indices(keys, left_out), clouds)
+            new = _update_frames(connection, recording_id, known, _indices(keys, left_out), clouds, poses)
             if before.fingerprint is None and fingerprint is not None:
                 same = recordings.c.id == recording_id
                 connection.execute(update(recordings).where(same).values(fingerprint=fingerprint))
@@ -199,6 +203,7 @@ class Recordings:
         self,
         moved: Mapping[int, tuple[Path, Sequence[str]]],
         clouds: Mapping[int, Mapping[str, SharedCloud]] = MappingProxyType({}),
+        poses: Mapping[int, Poses] = MappingProxyType({}),
     ) -> tuple[StoredRecording, ...]:
         """Changes the paths of moved recordings, all or none; their frames, labels and boxes stay as they are.
 
@@ -207,11 +212,12 @@ class Recordings:
         Args:
             moved: by recording id, the new path, stored as an absolute path, and the keys of the frames there: all
                 those of the latest scan, and possibly new ones.
-            clouds: by recording id, as for `add`.
+            clouds, poses: by recording id, as for `add`.
         """
         with self.store.write() as connection:
             for recording_id, (path, keys) in moved.items():
-                _move(connection, recording_id, path.resolve(), keys, clouds.get(recording_id, NO_CLOUDS))
+                of_clouds = clouds.get(recording_id, NO_CLOUDS)
+                _move(connection, recording_id, path.resolve(), keys, of_clouds, poses.get(recording_id))
             return tuple(_recording(connection, recording_id) for recording_id in moved)
 
     def remove(self, recording_id: int, author: str) -> None:
@@ -311,7 +317,12 @@ ADJUSTED = (
 
 
 def _move(
-    connection: Connection, recording_id: int, path: Path, keys: Sequence[str], clouds: Mapping[str, SharedCloud]
+    connection: Connection,
+    recording_id: int,
+    path: Path,
+    keys: Sequence[str],
+    clouds: Mapping[str, SharedCloud],
+    poses: Poses | None,
 ) -> None:
     _require_unique(path, keys)
     before = _recording(connection, recording_id, removed=True)
@@ -333,7 +344,7 @@ def _move(
     # a removed one has no latest scan
     needed = known if before.removed_by is None else dict.fromkeys(_used_keys(connection, recording_id), 0)
     _require_same(before, path, needed, keys)
-    _update_frames(connection, recording_id, known, _indices(keys), clouds)
+    _update_frames(connection, recording_id, known, _indices(keys), clouds, poses)
     if path != before.path:
         same = recordings.c.id == recording_id
         connection.execute(update(recordings).where(same).values(path=str(path)))
@@ -425,6 +436,7 @@ def _update_frames(
     known: dict[str, int | None],
     present: dict[str, int | None],
     clouds: Mapping[str, SharedCloud] = NO_CLOUDS,
+    poses: Poses | None = None,
 ) -> tuple[str, ...]:
     """Updates the index of all frames and inserts new ones; returns the keys of the new frames."""
     moved = [
@@ -457,7 +469,31 @@ def _update_frames(
     ]
     if new:
         connection.execute(insert(frames), new)
+    if poses is not None:
+        _place_in_world(connection, recording_id, poses)
     return tuple(str(row["key"]) for row in new)
+
+
+def _place_in_world(connection: Connection, recording_id: int, poses: Poses) -> None:
+    """Sets where the clouds are in the world. Where that has changed, still objects are looked for again."""
+    query = select(frames.c.id, frames.c.key, frames.c.pose, frames.c.world).where(
+        frames.c.recording_id == recording_id
+    )
+    changed = list[dict[str, Any]]()
+    for row in connection.execute(query).all():
+        if (T := poses.get(row.key)) is not None and row.pose is not None:
+            T = T * RigidTransform.from_matrix(json.loads(row.pose)).inv()
+        world = None if T is None else json.dumps(T.as_matrix().tolist())
+        if world != row.world:
+            changed.append({"of_frame": row.id, "new_world": world})
+    if changed:
+        of_frame = frames.c.id == bindparam("of_frame")
+        connection.execute(update(frames).where(of_frame).values(world=bindparam("new_world")), changed)
+        # what an operator has seen there stays
+        again = (
+            "place = iif(place IS NULL AND :new_world IS NOT NULL, NULL, ''), seen = seen AND :new_world IS NOT NULL"
+        )
+        connection.execute(text(f"UPDATE sightings SET {again} WHERE moment_id = :of_frame"), changed)
 
 
 def _moments(connection: Connection, recording_id: int) -> dict[str, tuple[int, int]]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Annotated, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
@@ -77,6 +77,12 @@ class BoxRecord(Exact):
         """The box, bit for bit."""
         rows = [[*axes, center] for axes, center in zip(self.rotation, self.center_m, strict=True)]
         return OrientedBox(np.array([*rows, [0.0, 0.0, 0.0, 1.0]]), np.array(self.size_m))
+
+
+class WorldBox(BoxRecord):
+    """A box in the frame of the world, of an object that stands still."""
+
+    in_world: Literal[True] = True
 
 
 # The source of our own proposals beside those of other software.

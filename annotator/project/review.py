@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from sqlalchemy import ColumnElement, Float, Select, Text, and_, case, cast, func, literal, null, select
+from sqlalchemy import ColumnElement, Float, Select, Table, Text, and_, case, cast, func, literal, null, select
 
 from annotator.project.classes.attributes import Value, value_text
-from annotator.project.database.schema import ALL_LABELS, AnyRow, frames, labels
+from annotator.project.database.schema import ALL_LABELS, AnyRow, frames, own_labels
 from annotator.project.database.store import Store
 from annotator.project.frames import FRAME_COLUMNS, StoredFrame
 from annotator.project.records import OWN
@@ -20,6 +20,8 @@ from annotator.project.rows import Terms
 from annotator.types import ReviewState
 
 _BEHIND = ALL_LABELS.alias()
+# Objects that stand still are reviewed, and wait for nothing.
+labels = own_labels
 
 
 @dataclass(frozen=True)
@@ -196,14 +198,14 @@ def _is_said_by(source: str) -> ColumnElement[bool]:
     return labels.c.of_source.is_not_distinct_from(name) | labels.c.uid.in_(behind)
 
 
-def label_doubt() -> ColumnElement[float]:
+def label_doubt(of: Table = labels) -> ColumnElement[float]:
     """1 - product of (1 - MAX_DOUBT * share of the way from good to bad, in 0..1), over the signals with a value."""
     trust: ColumnElement[float] = literal(1.0)
     for name, (good, bad) in SIGNALS.items():
-        way = (labels.c[name] - good) / (bad - good)
+        way = (of.c[name] - good) / (bad - good)
         trust *= func.coalesce(1.0 - MAX_DOUBT * func.min(func.max(way, 0.0), 1.0), 1.0)
     # the score first: SQLite reads a row up to the last column that it needs
-    unknown = and_(labels.c.score.is_(None), labels.c.proposed_box.is_(None))
+    unknown = and_(of.c.score.is_(None), of.c.proposed_box.is_(None))
     return case((unknown, null()), else_=cast(1.0 - trust, Float))
 
 

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import json
 import random
+import re
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cached_property, lru_cache, partial
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 from sqlalchemy import Connection
 
 from annotator.project.adjusting import moved_box, moved_geometry, moving
 from annotator.project.classes.attributes import Attribute, ClassStyle
 from annotator.project.database.store import driver_of
-from annotator.project.records import BOX_2D, BOXES_2D, OWN, BoxRecord, StoredSaid, ViewGeometry, parsed
+from annotator.project.records import BOX_2D, BOXES_2D, OWN, BoxRecord, StoredSaid, ViewGeometry, WorldBox, parsed
 from annotator.types import Box2D, BoxKind, OrientedBox
+from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue, Said
 
 Row = dict[str, Any]
@@ -25,15 +29,18 @@ Row = dict[str, Any]
 
 Names = tuple[tuple[int, str], ...]
 
-Place = tuple[str | None, str | None]
-"""Correction and pose of a frame's camera, as they are stored; None = it does not move the boxes of the cloud."""
-AT_CAMERA: Place = (None, None)
+Place = tuple[str | None, str | None, str | None]
+"""Correction and pose of a frame's camera, as they are stored; None = it does not move the boxes of the cloud. And the
+pose of the cloud in the world; None = not known, or not needed."""
+AT_CAMERA: Place = (None, None, None)
+# What only the JSON of a `WorldBox` has.
+_IN_WORLD = '"in_world"'
 
 
 @lru_cache(maxsize=1024)
 def T_camera_cloud(place: Place) -> RigidTransform | None:
     """From the frame of the cloud, in which boxes are stored, to that of the camera; None if they are the same."""
-    correction, pose = place
+    correction, pose, _ = place
     T = None if correction is None else moving(correction)
     if pose is None:
         return T
@@ -41,9 +48,55 @@ def T_camera_cloud(place: Place) -> RigidTransform | None:
     return T_recorded_cloud if T is None else T * T_recorded_cloud
 
 
+@lru_cache(maxsize=8192)
+def camera_world(place: Place) -> Float64[np.ndarray, "4 4"]:
+    """The matrix of the transform from the frame of the world to that of the camera.
+
+    Plain numpy, since a still object may have labels in thousands of frames, and a `RigidTransform` takes ten times as
+    long.
+
+    Raises:
+        ProjectError: the moment has no pose.
+    """
+    if (world := place[2]) is None:
+        raise ProjectError("the recording does not say where its camera was at this moment")
+    T_world_cloud = parsed(lambda text: np.array(json.loads(text), np.float64).reshape(4, 4), world)
+    inverse, turn = np.eye(4), T_world_cloud[:3, :3].T
+    inverse[:3, :3], inverse[:3, 3] = turn, -turn @ T_world_cloud[:3, 3]
+    T = T_camera_cloud(place)
+    return inverse if T is None else T.as_matrix() @ inverse
+
+
+def T_camera_stored(content: str, place: Place) -> Float64[np.ndarray, "4 4"] | None:
+    """From the frame in which a 3D box is stored, the cloud's or the world, to that of the camera; None: the same."""
+    if _IN_WORLD in content:
+        return camera_world(place)
+    T = T_camera_cloud(place)
+    return None if T is None else T.as_matrix()
+
+
+def _style(colour: str | None, key: str | None, still: int | None) -> ClassStyle:
+    return ClassStyle(colour=colour, key=key, still=None if still is None else bool(still))
+
+
 def new_uid() -> str:
     """A uid for a label. It begins with the time, so that the database adds those of an import at one place."""
     return f"{time.time_ns():016x}{random.getrandbits(64):016x}"
+
+
+_PLACE = """
+SELECT frames.recording_id, frames.pose, moments.world
+FROM frames JOIN frames AS moments ON moments.id = frames.moment_id WHERE frames.id = ?
+"""
+
+
+_OF_STILL = re.compile(r"([0-9a-f]{32})_[0-9]+")
+
+
+def still_of(uid: str) -> str | None:
+    """The uid of the still object that gives a label; None for a label that has a row."""
+    found = _OF_STILL.fullmatch(uid)
+    return None if found is None else found[1]
 
 
 class Terms:
@@ -54,6 +107,7 @@ class Terms:
         ids: by name, first those of the project's classes.
         classes: the names of the project's classes, in order.
         key: the names, for caches.
+        has_stills: whether any object stands still.
         of_tracks: the values of tracks that are known, by rig and track.
     """
 
@@ -67,8 +121,9 @@ class Terms:
         stored = self._driver.execute("SELECT recording_id, correction FROM adjustments").fetchall()
         self._corrections = {id: correction for id, correction in stored if moving(correction) is not None}
         shared = "SELECT 1 FROM frames WHERE cloud IS NOT NULL LIMIT 1"
+        self.has_stills = self._driver.execute("SELECT 1 FROM stills LIMIT 1").fetchone() is not None
         self._are_same = not self._corrections and self._driver.execute(shared).fetchone() is None
-        self._of_frames: dict[int | None, Place] = {}
+        self._of_frames: dict[tuple[int | None, bool], Place] = {}
         self._last_label: int | None = None
         self.of_tracks: dict[tuple[int, int], dict[str, AttributeValue]] = {}
 
@@ -77,10 +132,8 @@ class Terms:
     @cached_property
     def styles(self) -> dict[str, ClassStyle]:
         """The looks of classes that differ from those by default."""
-        query = "SELECT name, colour, shortcut FROM classes WHERE coalesce(colour, shortcut) IS NOT NULL"
-        return parsed(
-            lambda sql: {row[0]: ClassStyle(colour=row[1], key=row[2]) for row in self._driver.execute(sql)}, query
-        )
+        query = "SELECT name, colour, shortcut, still FROM classes WHERE coalesce(colour, shortcut, still) IS NOT NULL"
+        return parsed(lambda sql: {row[0]: _style(*row[1:]) for row in self._driver.execute(sql)}, query)
 
     @cached_property
     def attributes(self) -> tuple[Attribute, ...]:
@@ -110,14 +163,20 @@ class Terms:
 
     # --- clouds -------------------------------------------------------------------------------------------------------
 
-    def place(self, frame_id: int | None) -> Place:
-        """Where a frame's camera is at its cloud."""
-        if self._are_same:
+    def place(self, frame_id: int | None, in_world: bool = False) -> Place:
+        """Where a frame's camera is at its cloud, and with still objects (or `in_world`) in the world."""
+        in_world |= self.has_stills
+        if self._are_same and not in_world:
             return AT_CAMERA
-        if frame_id not in self._of_frames:
-            found = self._driver.execute("SELECT recording_id, pose FROM frames WHERE id = ?", (frame_id,)).fetchone()
-            self._of_frames[frame_id] = AT_CAMERA if found is None else (self._corrections.get(found[0]), found[1])
-        return self._of_frames[frame_id]
+        if (frame_id, in_world) not in self._of_frames:
+            found = self._driver.execute(_PLACE, (frame_id,)).fetchone() or (None, None, None)
+            place = self._corrections.get(found[0]), found[1], found[2] if in_world else None
+            self._of_frames[frame_id, in_world] = place
+        return self._of_frames[frame_id, in_world]
+
+    def T_camera_world(self, frame_id: int | None) -> RigidTransform:
+        """From the frame of the world to that of a frame's camera."""
+        return RigidTransform.from_matrix(camera_world(self.place(frame_id, in_world=True)))
 
     def T_camera_cloud(self, frame_id: int | None) -> RigidTransform | None:
         """From the frame in which a frame's boxes are stored to that of the camera; None if they are the same."""
@@ -153,6 +212,10 @@ class Terms:
         T = self._T_cloud_camera(frame_id)
         return (box if T is None else moved_box(box, T)).model_dump_json()
 
+    def world_json(self, box: BoxRecord, frame_id: int | None) -> str:
+        """The 3D box of an object that stands still, as it is stored."""
+        return WorldBox.of(box.box().transformed(self.T_camera_world(frame_id).inv())).model_dump_json()
+
     def box_2d_json(self, box: Box2D | None) -> str | None:
         """A 2D box as it is stored."""
         return None if box is None else BOX_2D.dump_json(self._coded(box), warnings="error").decode()
@@ -175,12 +238,17 @@ class Terms:
 @lru_cache(maxsize=4096)
 def box_of(content: str, place: Place) -> OrientedBox:
     """A stored box. A page reads all boxes of its frame again after each change of one."""
-    return _placed(parsed(BoxRecord.model_validate_json, content).box(), place)
-
-
-def _placed(box: OrientedBox, place: Place) -> OrientedBox:
-    T = T_camera_cloud(place)
+    if _IN_WORLD in content:
+        box = world_box(content)
+        return OrientedBox(camera_world(place) @ box.pose, box.size_m)
+    box, T = parsed(BoxRecord.model_validate_json, content).box(), T_camera_cloud(place)
     return box if T is None else box.transformed(T)
+
+
+@lru_cache(maxsize=256)
+def world_box(content: str) -> OrientedBox:
+    """The stored box of an object that stands still, in the frame of the world."""
+    return parsed(WorldBox.model_validate_json, content).box()
 
 
 def box_2d_of(content: str | None, names: Names) -> Box2D | None:
@@ -241,7 +309,8 @@ def said_in(row: Mapping[str, Any], names: Names, place: Place) -> Said:
     if row["of_source"] is not None and row["said"] is not None:
         stored = stored_said(row["said"])
         label, more = parsed(_by_text(names).__getitem__, stored.label), stored.file_track_id
-        said = stored.said(_placed(stored.box.box(), place))
+        T, box = T_camera_cloud(place), stored.box.box()
+        said = stored.said(box if T is None else box.transformed(T))
         return replace(said, label=label, attributes=stored.attributes, file_track_id=more)
     return Said(
         row["of_source"] or OWN,

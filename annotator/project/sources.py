@@ -184,7 +184,7 @@ def show(write: Write, groups: Sequence[Sequence[Told]]) -> list[list[Said]]:
 
 
 def _others(write: Write, uids: Collection[str]) -> list[Row]:
-    return [row for row in write.labels() if row["uid"] not in uids]
+    return [row for row in (*write.labels(), *write.sightings()) if row["uid"] not in uids]
 
 
 def _tracks(write: Write, groups: Sequence[Sequence[Told]]) -> list[int | None]:

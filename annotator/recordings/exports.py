@@ -101,7 +101,7 @@ class ExportFolder(Recording):
             raise FrameError(cloud, f"is none of {' '.join(CLOUD_SUFFIXES)}", REMEDY)
         raw = read_cloud(cloud)
         points = PointCloud(raw.xyz_m.astype(np.float32), rgb=raw.rgb, reflectance=raw.reflectance)
-        moment = {"timestamp_ns": timestamp_ns, "T_world_camera": T_world_camera}
+        moment = {"timestamp_ns": timestamp_ns, "T_world_camera": T_world_camera, "in_map": T_world_camera is not None}
         return picture.frame(key, i, camera, points, up=up, **moment)
 
 

@@ -553,7 +553,8 @@ def open_kitti_tracking(path: Path, options: ReaderOptions) -> KittiTracking | N
         raise ConfigError(f"{path}: is one drive of KITTI, which takes no --scene")
     require_calibration(path, "a KITTI tracking folder", "calib.txt", "velodyne/")
     drive = KittiTracking(path, keys, path, images, SCANS, reader=Scans(options.columns))
-    return _with_poses(drive, path / ODOMETRY, path.resolve().parents[1] / "poses" / f"{path.resolve().name}.txt")
+    here = path.resolve()
+    return _with_poses(drive, path / ODOMETRY, here.parent.parent / "poses" / f"{here.name}.txt")
 
 
 def _drives(root: Path) -> list[str]:

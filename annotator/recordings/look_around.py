@@ -76,6 +76,7 @@ class Scan:
         knows_up: False if gravity is unknown, so that the scan's own axes are used.
         timestamp_ns: None if unknown.
         T_world_scan: pose of the scan's frame, as `Frame.T_world_camera`.
+        in_map: as `Frame.in_map`.
     """
 
     read: Callable[[], RawCloud]
@@ -85,6 +86,7 @@ class Scan:
     knows_up: bool = True
     timestamp_ns: int | None = None
     T_world_scan: RigidTransform | None = None
+    in_map: bool = False
 
     def T_camera_scan(self, R_camera_level: Rotation) -> RigidTransform:
         """The transform to a virtual camera at the scan's place."""
@@ -218,4 +220,5 @@ def virtual_frame(scan: Scan, key: str, index: int, camera: Camera, R_camera_lev
         T_camera_label=T_camera_scan * scan.T_scan_label,
         timestamp_ns=scan.timestamp_ns,
         T_world_camera=scan.T_world_camera(R_camera_level),
+        in_map=scan.in_map,
     )

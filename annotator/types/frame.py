@@ -125,6 +125,8 @@ class Frame:
             project does not correct the calibration.
         T_world_camera: pose of the camera in a world that is the same for all frames: the map coordinates of the
             recording's clouds, else that of its poses (`Recording.pose`); None without such.
+        in_map: True if that world is the map of the clouds. Boxes keep their place in it, wherever a virtual camera
+            stands. Poses may be corrected, and boxes keep their place before the camera.
         exif_orientation: of the image file if `rgb` has its pixels as stored, not as viewers show them; else 1.
     """
 
@@ -140,6 +142,7 @@ class Frame:
     T_camera_recorded: RigidTransform | None = None
     T_world_camera: RigidTransform | None = None
     exif_orientation: int = 1
+    in_map: bool = False
 
     def __post_init__(self) -> None:
         size = (self.camera.height_px, self.camera.width_px)

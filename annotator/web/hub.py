@@ -155,7 +155,8 @@ class Announcer:
             return
         # in order, and once: both the thread of a change and the one that watches come here
         with told.lock:
-            newest, changed = project.log.changed_frames(told.event)
+            shown = [int(frame) for frame in self._hub.presence(project.path.name)]
+            newest, changed = project.log.changed_frames(told.event, shown)
             adjusted = project.adjustments.since(told.event) if changed else ()
             classes = project.class_changes(told.event) if newest > told.event else []
             removed_by = project.recordings.removed_by()

@@ -13,7 +13,7 @@ from annotator.recordings import ReaderOptions, Recording, open_recording, store
 from annotator.recordings.look_around import RigCamera, Scenes
 from annotator.types import Frame
 from annotator.types.errors import BrokenStartError, ConfigError, FrameError, RecordingError
-from annotator.workflows.frame_source import shared_clouds
+from annotator.workflows.frame_source import recorded_poses, shared_clouds
 from annotator.workflows.recorded.condition import (
     SECONDS,
     BrokenFrames,
@@ -151,7 +151,8 @@ def move_recording(project: Project, recording_id: int, path: Path) -> StoredRec
     broken = {number: still_broken(recording, left_out[number]) for number, recording in moved.items()}
     places = {number: (recording.path, recording.keys) for number, recording in moved.items()}
     clouds = {number: shared_clouds(recording) for number, recording in moved.items()}
-    first = project.recordings.move(places, clouds)[0]
+    poses = {number: recorded_poses(recording) for number, recording in moved.items()}
+    first = project.recordings.move(places, clouds, poses)[0]
     for number, keys in broken.items():
         if keys:
             project.recordings.rescan(number, moved[number].keys, left_out=keys)
@@ -163,7 +164,7 @@ def bring_back(project: Project, recording_id: int) -> StoredRecording:
     known = project.recordings.get(recording_id, removed=True)
     project.recordings.require_readable(known)
     there = _moved(known, known.path)
-    project.recordings.rescan(known.id, there.keys, clouds=shared_clouds(there))
+    project.recordings.rescan(known.id, there.keys, clouds=shared_clouds(there), poses=recorded_poses(there))
     return project.recordings.get(known.id)
 
 
@@ -242,9 +243,11 @@ def _add(
             fingerprint,
             left_out,
             shared_clouds(recording),
+            recorded_poses(recording),
         )
         return Added(stored, True, stored.frames, 0, recording.notes, left_out=len(left_out))
-    change = project.recordings.rescan(known.id, recording.keys, fingerprint, left_out, shared_clouds(recording))
+    places = shared_clouds(recording), recorded_poses(recording)
+    change = project.recordings.rescan(known.id, recording.keys, fingerprint, left_out, *places)
     stored, came_back = project.recordings.get(known.id), known.removed_by is not None
     new_frames = sum(key not in left_out for key in change.added)
     return Added(stored, False, new_frames, len(change.missing), recording.notes, came_back, left_out=len(left_out))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
+from scipy.spatial.transform import RigidTransform
 
 from annotator.files import why_missing
 from annotator.formats.nuscenes import is_seen
@@ -139,4 +140,15 @@ def shared_clouds(recording: Recording) -> dict[str, SharedCloud]:
         for index, key in enumerate(recording.keys):
             with suppress(FrameError):
                 found[key] = SharedCloud(recording.moment(index), recording.T_rig_camera(index))
+    return found
+
+
+def recorded_poses(recording: Recording) -> dict[str, RigidTransform]:
+    """Where the camera of each frame was, `T_world_camera`, by the frame's key; without those that are not known."""
+    found: dict[str, RigidTransform] = {}
+    if recording.pose_source is not None:
+        for index, key in enumerate(recording.keys):
+            with suppress(RecordingError):
+                if (pose := recording.pose(index)) is not None:
+                    found[key] = pose
     return found

@@ -7,18 +7,22 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from annotator.cli import annotate as annotate_command
+from annotator.cli import tracks as tracks_command
 from annotator.formats.coco import read_coco, write_coco
 from annotator.formats.frame_names import PictureLabels
 from annotator.formats.rcv import read_rcv
-from annotator.project import NewLabel, WriteContext, create_project, open_project
+from annotator.project import NewLabel, StoredFrame, WriteContext, create_project, open_project
 from annotator.recordings import open_recording
-from annotator.types import Box2D, OrientedBox
+from annotator.types import Box2D, Frame, OrientedBox
+from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.add_recordings import register_recording
+from annotator.workflows.frame_source import FrameSource
 
 Run = Callable[..., str]
 
@@ -48,13 +52,14 @@ def test_classes_and_attributes_are_changed_and_listed(cars: Path, run: Run) -> 
         "style cars auto --key a",
         "style cars auto --colour ff0000",
         "style cars auto --unset colour",
+        "style cars auto --still",
         "order cars bus,auto",
     ):
         run(f"classes {words}")
     content = json.loads(run("classes list cars --json"))
     assert content["classes"] == [
-        {"name": "bus", "labels": 0, "boxes_2d": 0, "said": 0, "colour": "#3366ff", "key": "b"},
-        {"name": "auto", "labels": 1, "boxes_2d": 0, "said": 0, "colour": None, "key": "a"},
+        {"name": "bus", "labels": 0, "boxes_2d": 0, "said": 0, "colour": "#3366ff", "key": "b", "still": None},
+        {"name": "auto", "labels": 1, "boxes_2d": 0, "said": 0, "colour": None, "key": "a", "still": True},
     ]
     assert content["attributes"] == [
         {
@@ -258,17 +263,49 @@ def test_export_writes_a_dataset(root: Path, generated: Path, tmp_path: Path, ru
     assert "5 frames" in said
 
 
-def test_whole_tracks_change_once_they_are_linked(root: Path, made_rooms: Path, run: Run) -> None:
+def test_whole_tracks_change_once_they_are_linked(
+    root: Path, made_rooms: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
     shutil.copytree(made_rooms / "labelled", root)
     with open_project(root / "room") as project:
         for frame in project.frames.of()[1:4]:
             for revision, label in enumerate(project.labels.of_frame(frame.id), frame.revision):
                 project.labels.delete(frame.id, label.uid, WriteContext(revision, "ann"))
     assert "track 1: proposes 3 boxes" in run("tracks", "fill", "room", "people", "1")
-    run(*["tracks", "fill", "room", "people", "2", "--from", "000000", "--to", "000004", "--refit"])
+    filling = ["tracks", "fill", "room", "people", "2", "--from", "000000", "--to", "000004", "--refit"]
+    read = FrameSource.read
+
+    def damaged(source: FrameSource, frame: StoredFrame) -> Frame:
+        if frame.key == "000002":
+            raise FrameError(Path("000002.png"), "is damaged")
+        return read(source, frame)
+
+    with monkeypatch.context() as at:
+        at.setattr(tracks_command, "ready_view", Mock(side_effect=DetectionError("its file is broken")))
+        assert "its file is broken" in run(*filling, code=2)
+        at.setattr(tracks_command, "ready_view", lambda _: None)
+        at.setattr(FrameSource, "read", damaged)
+        said = run(*filling)
+    assert "track 2: proposes 3 boxes" in said, "nothing was stored before"
+    assert "not in frame 000002: 000002.png: is damaged" in said
     assert "track 9 of people has no boxes" in run("tracks", "fill", "room", "people", "9", code=2)
     said = run("track", "room", "--recordings", "people")
     assert "12 boxes in 3 tracks of 1 recording, 0 changed" in said
+
+
+def test_a_track_is_said_to_stand_still_and_to_move(own_copy: Callable[[str], Path], root: Path, run: Run) -> None:
+    people = own_copy("people")
+    still = [f"{n:06},500000,4649776,0,0,0,0,1" for n in range(5)]
+    (people / "poses.csv").write_text("\n".join(["key,x,y,z,qx,qy,qz,qw", *still]))
+    run("new", "room", "--classes", "person")
+    run("add", "room", people)
+    run("classes style room person --still")
+    assert "track 1 may stand still: person stands still" in run("tracks still room people")
+    assert "(nothing was stored)" in run("tracks still room people 1 --dry-run")
+    said = run("tracks still room people 1 --frame 000002")
+    assert "track 1 (person) stands still, seen in" in said
+    assert "makes" in run("tracks moving room people 1 --frame 000002")
+    assert "does not stand still" in run("tracks moving room people 1", code=2)
 
 
 CAR = "Car 0.00 0 0.10 100.00 120.00 190.00 180.00 1.50 1.60 4.00 2.00 1.60 20.00 0.20"

@@ -127,10 +127,15 @@ def test_what_a_format_holds_comes_back_any_number_of_times(
 def test_boxes_go_where_their_camera_is_if_the_format_holds_its_place_in_a_map(tmp_path: Path, name: str) -> None:
     items = samples(turns(name))
     write(name, tmp_path / "out", items)
-    here, there = (read(name, tmp_path / "out", items[0], T_world_camera=each) for each in (PLACE, OTHER_PLACE))
+    here, there, corrected = (
+        read(name, tmp_path / "out", items[0], T_world_camera=T, in_map=in_map)
+        for T, in_map in ((PLACE, True), (OTHER_PLACE, True), (OTHER_PLACE, False))
+    )
     moved = RigidTransform.identity() if Lost.ORIGIN in FORMATS[name].loses else OTHER_PLACE.inv() * PLACE
-    for one, other in zip(here, there, strict=True):
+    for one, other, before_camera in zip(here, there, corrected, strict=True):
         assert_same_box(other.box, one.box.transformed(moved), 1e-6)
+        # poses that were corrected after the export move no box before its camera
+        assert_same_box(before_camera.box, one.box, 1e-6)
 
 
 def test_a_world_whose_z_is_not_up_is_none_of_nuscenes(tmp_path: Path) -> None:

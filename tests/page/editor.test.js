@@ -4,6 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import * as geometry from "../../web_assets/js/editor2d/geometry.js";
 import { hitTest } from "../../web_assets/js/editor2d/gestures.js";
+import { shortName } from "../../web_assets/js/annotate/drawing.js";
 import { createView } from "../../web_assets/js/editor2d/geometry.js";
 
 const SIZE = { width: 320, height: 240 };
@@ -150,4 +151,18 @@ test("zooming keeps the pixel under the pointer, and a strip of the picture stay
   const [right, top] = [view.toWindow([319.5, 0])[0], view.toWindow([0, -0.5])[1]];
   assert.deepEqual([Math.round(right), Math.round(top)], [32, 500 - 32]);
   assert.equal(view.isFitted, false);
+});
+
+test("a box is named by its class and track; without one, a number tells those of a class apart", () => {
+  const label = (uid, name, track = null, isNew = false) => ({ uid, label: name, track_id: track, isNew });
+  const all = [
+    label("18ec", "person"),
+    label("ab07", "person", 3),
+    label("77f0", "chair"),
+    label("c1d2", "person"),
+    label("new-1", "person", null, true),
+  ];
+  const names = all.map((one) => shortName(one, all));
+  assert.deepEqual(names, ["person (1)", "person #3", "chair", "person (2)", "person new"]);
+  assert.equal(shortName({ ...all[2], label: "person" }, all), "person", "while its class is being changed");
 });

@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import * as lanes from "../../web_assets/js/timeline/lanes.js";
+import { frameName } from "../../web_assets/js/timeline/reading.js";
 
 const lane = (id, ...spans) => ({
   track_id: id,
@@ -84,4 +85,16 @@ test("a lane has the name of the class of most of its boxes, and says what it sh
     lanes.describe([CAR], 12, [10, 11]),
     "1 track; car 12: in 21 frames, 10 reviewed, frames 11 to 12 selected",
   );
+});
+
+test("a frame is named by its number in the open recording, else by its key", () => {
+  const timeline = {
+    places: new Map([
+      [41, 0],
+      [42, 1],
+    ]),
+  };
+  assert.equal(frameName({ timeline }, 42, "000009"), "2");
+  assert.equal(frameName({ timeline }, 7, "000009"), "000009");
+  assert.equal(frameName({ timeline: null }, 42, "000009"), "000009");
 });

@@ -14,13 +14,15 @@ from scipy.spatial.transform import Rotation
 from sqlalchemy import text
 
 from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext, open_project
-from annotator.project.changes import LabelChanged, LabelDeleted
+from annotator.project.changes import LabelChanged, LabelDeleted, StillEnded, StillMade
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.database import migrations
 from annotator.project.database.migrations import MIGRATIONS, Migration, newest_version
 from annotator.project.database.schema import AUDITED
 from annotator.project.log import new_action
+from annotator.project.records import BoxRecord
+from annotator.project.stills import Sighting
 from annotator.types import (
     Box2D,
     BoxKind,
@@ -138,6 +140,10 @@ STEPS = (
     "bulk",
     "track",
     "span",
+    "make still",
+    "still here",
+    "not here",
+    "make moving",
 )
 
 
@@ -181,6 +187,21 @@ def actions(
         "span": lambda: project.log.append_to_frames(
             # the second frame's part can be late
             [_carried_over(other, a, who, n * (b // 3)) for n, other in enumerate(project.frames.of()[:2])]
+        ),
+        "make still": lambda: project.stills.change(
+            [
+                FramePart(
+                    frame.id, [LabelChanged(uid=uid, track_id=b + 1), StillMade(uid=uid, still=f"{a:032x}")], change
+                )
+            ],
+            [Sighting(f"{a:032x}", each.id, each.moment_id, True) for each in project.frames.of()],
+        ),
+        "still here": lambda: project.log.append(
+            frame.id, [LabelChanged(uid=uid, state=ReviewState.EDITED, box=BoxRecord.of(box_at(b)), here=True)], change
+        ),
+        "not here": lambda: project.log.append(frame.id, [LabelDeleted(uid=uid, here=True)], change),
+        "make moving": lambda: project.log.append(
+            frame.id, [StillEnded(uid=uid), NewLabel("hand", box_at(b), track_id=b + 1)], change
         ),
         "adjust": lambda: project.adjustments.correct(
             frame.recording_id, Correction((0.1 * a, 0.0, -0.2 * b), (0.0, 0.3 * b, 0.1 * a)), who

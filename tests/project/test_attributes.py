@@ -132,7 +132,7 @@ def test_values_of_a_track_are_set_in_its_labels_whose_class_has_them_as_one_act
         unchanged | {"side": "left"},
         unchanged,
     ]
-    assert project.history.next("ann")[0] == "set attributes of 3 labels (frames 1 to 2)"
+    assert project.history.next("ann")[0] == "set attributes of 3 labels (frames 2 to 3)"
     # a label that enters the track takes its values, one that leaves it keeps them
     project.log.append(ids[2], [LabelChanged(uid=uids[2], track_id=9)], revised(project, ids[2]))
     project.labels.edit(ids[2], other, revised(project, ids[2]), label="hand", box=box_at(1.0), track_id=7)
@@ -175,7 +175,7 @@ def test_a_renamed_class_keeps_all_that_is_stored(project: Project, frame: int) 
         project.labels.accept(frame, uid, by_hand(before))
     # earlier actions can still be undone, under the new name
     assert project.history.undo("ann").words.startswith("draw on the image")
-    assert project.history.undo("ann").words == "draw palm (frame 2)"
+    assert project.history.undo("ann").words == "draw palm (frame 3)"
 
 
 def test_a_merge_is_undone_and_what_was_drawn_since_keeps_its_class(project: Project, frame: int) -> None:
@@ -220,7 +220,7 @@ def test_a_removed_class_comes_back_with_its_boxes(project: Project, frame: int)
     assert project.config.attributes[1].classes == ("person",)
     with pytest.raises(StaleRevisionError):
         project.labels.accept(frame, removed, by_hand(before))
-    assert project.history.undo("ann").words == "draw person (frame 2)"
+    assert project.history.undo("ann").words == "draw person (frame 3)"
 
 
 def test_what_others_use_is_not_undone(project: Project, frame: int) -> None:

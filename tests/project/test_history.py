@@ -24,14 +24,14 @@ def test_the_next_undo_and_redo_are_described(project: Project, frame: int) -> N
     uids = project.proposals.replace(frame, [proposal_at(0.0), proposal_at(5.0)], by_machine()).uids
     assert project.history.next("ann") == (None, None), "an automatic pass cannot be undone"
     project.labels.accept(frame, uids[0], by_hand(1))
-    assert project.history.next("ann") == ("accept hand (frame 2)", None)
+    assert project.history.next("ann") == ("accept hand (frame 3)", None)
     project.log.append(frame, [LabelDeleted(uid=uid) for uid in uids], by_hand(2))
-    assert project.history.next("ann") == ("delete 2 labels (frame 2)", None)
+    assert project.history.next("ann") == ("delete 2 labels (frame 3)", None)
     done = project.history.undo("ann")
-    assert (done.words, done.frame_id, project.frames.get(frame).revision) == ("delete 2 labels (frame 2)", frame, 5)
-    assert project.history.next("ann") == ("accept hand (frame 2)", "delete 2 labels (frame 2)")
+    assert (done.words, done.frame_id, project.frames.get(frame).revision) == ("delete 2 labels (frame 3)", frame, 5)
+    assert project.history.next("ann") == ("accept hand (frame 3)", "delete 2 labels (frame 3)")
     project.frames.finalise(frame, by_hand(5))
-    assert project.history.next("ann") == ("finalise frame 2", None), "a new action empties the redo stack"
+    assert project.history.next("ann") == ("finalise frame 3", None), "a new action empties the redo stack"
 
 
 def test_a_page_that_is_read_while_its_operator_saves_elsewhere_sees_the_steps_of_its_own_moment(
@@ -46,7 +46,7 @@ def test_a_page_that_is_read_while_its_operator_saves_elsewhere_sees_the_steps_o
             return threads.submit(act).result()
 
     draw(1)
-    first, second = "draw hand (frame 2)", "draw 2 labels (frame 2)"
+    first, second = "draw hand (frame 3)", "draw 2 labels (frame 3)"
     with project.store.snapshot():
         project.log.last()
         elsewhere(lambda: draw(2))
@@ -67,7 +67,7 @@ def test_an_undo_that_conflicts_with_a_later_change_names_it_and_can_be_skipped(
     with pytest.raises(HistoryError, match=r"the hand label was changed by bob since .*nothing was changed") as caught:
         project.history.undo("ann")
     assert caught.value.frame_id == frame
-    assert project.history.undo("ann", skip=True).words == "accept hand (frame 2)"
+    assert project.history.undo("ann", skip=True).words == "accept hand (frame 3)"
     states = [label.state for label in project.labels.of_frame(frame)]
     assert states == [ReviewState.EDITED, ReviewState.PROPOSED]
 
@@ -103,7 +103,7 @@ def test_undo_leaves_out_values_that_no_longer_fit_and_says_so(project: Project,
     give(state=VALUE, note="one")
     give(state=None, note="two")
     put(project, of, AFTER)
-    words = f"set attributes of {'the frame' if of == 'frame' else 'hand'} (frame 2)"
+    words = f"set attributes of {'the frame' if of == 'frame' else 'hand'} (frame 3)"
     left_out = "; without values that the project no longer allows: state"
     assert (project.history.undo("ann").words, given()) == (words + left_out, {"note": "one"})
     give(note="three")
@@ -194,8 +194,8 @@ def test_an_action_is_hidden_while_all_its_recordings_are_removed(
     assert (uids(project), project.history.next("ann")[0]) == ([], None)
     bring_back(project, right)
     bring_back(project, left)
-    assert project.history.next("ann") == ("draw 2 labels (frames 0 to 0)", "draw hand (frame 0)")
-    assert (project.history.undo("ann").words, uids(project)) == ("draw 2 labels (frames 0 to 0)", [])
+    assert project.history.next("ann") == ("draw 2 labels (frames 1 to 1)", "draw hand (frame 1)")
+    assert (project.history.undo("ann").words, uids(project)) == ("draw 2 labels (frames 1 to 1)", [])
     for expected in (BOTH, [*BOTH, "third-below"]):
         project.history.redo("ann")
         assert uids(project) == expected
@@ -224,10 +224,10 @@ def test_an_action_that_is_written_in_several_calls_keeps_its_place_and_ends_whe
     action = new_action()
     draw(project, "both", [left], action)
     project.labels.create(project.frames.of([left.id])[1].id, [NewLabel("hand", box_at())], by_hand())
-    assert project.history.undo("ann").words == "draw hand (frame 1)"
+    assert project.history.undo("ann").words == "draw hand (frame 2)"
     draw(project, "both", [right], action)
-    assert project.history.next("ann") == ("draw 2 labels (frames 0 to 0)", "draw hand (frame 1)")
-    assert (project.history.undo("ann").words, uids(project)) == ("draw 2 labels (frames 0 to 0)", [])
+    assert project.history.next("ann") == ("draw 2 labels (frames 1 to 1)", "draw hand (frame 2)")
+    assert (project.history.undo("ann").words, uids(project)) == ("draw 2 labels (frames 1 to 1)", [])
     with pytest.raises(HistoryError, match="it was undone while it was running"):
         draw(project, "both", [third], action)
     project.history.redo("ann")

@@ -37,6 +37,7 @@ def test_a_track_has_a_span_for_each_run_of_boxes_that_are_alike(project: Projec
     add(4, None)
     lanes = read_lanes(project.store, recording.id)
     assert list(lanes.frames) == ids
+    assert project.frames.numbers(ids) == {frame: place + 1 for place, frame in enumerate(ids)}
     assert [(lane.track_id, lane.spans) for lane in lanes.lanes] == [
         (2, ((0, 0, "hand", 0), (2, 2, "hand", 1))),
         (9, ((1, 3, "hand", 0), (4, 4, "hand", 1), (5, 5, "hand", 4))),

@@ -27,19 +27,31 @@ from store_samples import (
     by_machine,
     give_attributes,
     proposal_at,
+    same_box,
     some_boxes,
     sorted_state,
     state_of,
 )
 
-from annotator.project import NewLabel, Project, RunShare, WriteContext, create_project, new_action, open_project
+from annotator.project import (
+    FramePart,
+    NewLabel,
+    Project,
+    RunShare,
+    WriteContext,
+    create_project,
+    new_action,
+    open_project,
+)
 from annotator.project.audit.events import as_one
-from annotator.project.changes import LabelChanged, TracksLinked
+from annotator.project.changes import LabelChanged, Payload, StillMade, TracksLinked
 from annotator.project.database.schema import AUDITED, columns_of
 from annotator.project.recordings import SharedCloud
 from annotator.project.records import BoxRecord
+from annotator.project.rows import still_of
+from annotator.project.stills import Sighting
 from annotator.types import BoxKind, Correction, Label, ReviewState
-from annotator.types.errors import ConfigError, HistoryError, ProjectError
+from annotator.types.errors import ConfigError, HistoryError, ProjectError, StaleRevisionError
 
 BASED = (*(step for step in STEPS if step not in ("bring", "import", "span")), "values", "frame values")
 """Changes that are based on a revision of a frame."""
@@ -61,6 +73,11 @@ def linked(labels: Sequence[Label], track_id: int) -> TracksLinked:
             for each in labels
         )
     )
+
+
+def moved_by(frames: int) -> RigidTransform:
+    """Of a camera that moves on in map coordinates."""
+    return RigidTransform.from_translation([500000.0 + 0.3 * frames, 4649776.0, 12.0])
 
 
 def audited(project: Project) -> dict[str, list[tuple[object, ...]]]:
@@ -90,7 +107,9 @@ class TwoOperators(RuleBasedStateMachine):
             T_cloud_camera = RigidTransform.from_rotation(Rotation.from_rotvec([0.0, number - 1.0, 0.0]))
             clouds = {key: SharedCloud(key, T_cloud_camera) for key in keys}
             options = json.dumps({"camera": f"c{number}"})
-            self.project.recordings.add(root / "r", "rgbd", f"r{number}", keys, True, options=options, clouds=clouds)
+            poses = {key: T_cloud_camera * moved_by(n) for n, key in enumerate(keys)}
+            add = self.project.recordings.add
+            add(root / "r", "rgbd", f"r{number}", keys, True, options=options, clouds=clouds, poses=poses)
         self.views = [self.project.views.store(np.full((2, 2, 3), n, np.uint8)) for n in range(2)]
         self.is_removed = False
         give_attributes(self.project)
@@ -180,6 +199,45 @@ class TwoOperators(RuleBasedStateMachine):
             project.history.redo(who)
         project.history.undo(OTHER[who])
         assert audited(project) == before
+
+    @rule(who=PEOPLE, places=st.permutations(range(3)), is_rejected=st.booleans())
+    def stand_still(self, who: str, places: list[int], is_rejected: bool) -> None:
+        """A still object is one row, which each frame shows; a frame may differ; all of it is undone step by step."""
+        self._bring_back()
+        project, (first, second, third) = self.project, [self.project.frames.of()[n].id for n in places]
+        name, track_id = project.config.classes[0], project.labels.next_track_id(1)
+
+        def take(frame: int, *payloads: Payload) -> None:
+            states.append(audited(project))
+            project.log.append(frame, payloads, by_hand(project.frames.get(frame).revision, who))
+
+        def shown(frame: int) -> Label | None:
+            return next((each for each in project.labels.of_frame(frame) if each.track_id == track_id), None)
+
+        states: list[dict[str, list[tuple[object, ...]]]] = []
+        take(first, new := NewLabel(name, box_at(30.0), track_id=track_id))
+        states.append(audited(project))
+        made, seen = StillMade(uid=new.uid), project.frames.of()
+        context = by_hand(project.frames.get(first).revision, who)
+        sightings = [Sighting(made.still, each.id, each.moment_id, True) for each in seen]
+        project.stills.change([FramePart(first, [made], context)], sightings)
+        at_third = shown(third)
+        late, seen_there = project.frames.get(third).revision, shown(second)
+        assert seen_there is not None and at_third is not None
+        moved = LabelChanged(uid=seen_there.uid, state=ReviewState.EDITED, box=BoxRecord.of(box_at(40.0)))
+        take(second, moved)
+        assert [key for key in AUDITED if audited(project)[key] != states[-1][key]] == ["stills"]
+        now = shown(third)
+        assert now is not None and not same_box(now.box, at_third.box)
+        with pytest.raises(StaleRevisionError):
+            project.log.append(third, [LabelChanged(uid=now.uid, label=name)], by_hand(late, who))
+        given = {"state": ReviewState.REJECTED} if is_rejected else {"box": BoxRecord.of(box_at(50.0))}
+        take(third, LabelChanged(uid=now.uid, here=True, **given))
+        own = shown(third)
+        assert own is not None and still_of(own.uid) is None and project.stills.of(1)
+        for state in reversed(states):
+            project.history.undo(who)
+            assert audited(project) == state
 
     @rule(who=PEOPLE, is_undo=st.booleans(), skip=st.booleans())
     def step(self, who: str, is_undo: bool, skip: bool) -> None:

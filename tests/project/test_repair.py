@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from scipy.spatial.transform import RigidTransform
 from sqlalchemy.exc import IntegrityError
-from store_samples import box_at, by_hand, damage, stored_state
+from store_samples import box_at, by_hand, damage, some_boxes, stored_state
 
 from annotator.project import NewLabel, Project, StoredRecording, open_project
 from annotator.project.backup.make import back_up
@@ -224,6 +224,8 @@ def test_labels_whose_events_were_deleted_are_taken_from_the_tables(full: Path, 
 
 def test_a_truncated_database_is_read_as_far_as_it_goes(full: Path) -> None:
     database = full / "project.db"
+    with open_project(full) as project:  # so that the last pages have no table's beginning
+        project.boxes.set_on_image(project.frames.of()[3].id, some_boxes(1000), BoxKind.BOX, by_hand())
     with closing(sqlite3.connect(database)) as connection:
         connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     whole = len(stored_state(full)["labels"])

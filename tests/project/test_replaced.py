@@ -41,8 +41,8 @@ def _link(folder: Path, backup: Path) -> None:
 def test_a_replaced_project_refuses_writes_and_is_sound_when_opened_anew(
     project: Project, frame: int, backup: Path, replace: Callable[[Path, Path], None]
 ) -> None:
-    assert project.history.undo("ann").words == "draw hand (frame 2)"
-    assert project.history.next("ann") == ("draw hand (frame 2)",) * 2
+    assert project.history.undo("ann").words == "draw hand (frame 3)"
+    assert project.history.next("ann") == ("draw hand (frame 3)",) * 2
     replace(project.path, backup)
     assert not project.is_current
     with pytest.raises(ReplacedError, match="was replaced by another file while it was open"):
@@ -55,7 +55,7 @@ def test_a_replaced_project_refuses_writes_and_is_sound_when_opened_anew(
     with open_project(project.path) as anew:
         assert anew.problems() == []
         assert len(anew.labels.of_frame(frame)) == 1, "the backup's state, not mixed with what came after it"
-        assert anew.history.next("ann") == ("draw hand (frame 2)", None)
+        assert anew.history.next("ann") == ("draw hand (frame 3)", None)
         _label(anew, frame)
     with open_project(project.path) as again:
         assert len(again.labels.of_frame(frame)) == 2

@@ -41,7 +41,7 @@ def test_track_ids_record_whether_they_come_from_linking_or_an_operator(project:
     assert _track(project, uid) == (6, True)
     project.log.append(frame, [LabelChanged(uid=uid, track_id=None)], by_hand(4))
     assert _track(project, uid) == (None, False)
-    assert project.history.next("ann")[0] == "track hand (frame 2)"
+    assert project.history.next("ann")[0] == "track hand (frame 3)"
     project.history.undo("ann")
     assert _track(project, uid) == (6, True)
     assert project.labels.get(uid).label.state is ReviewState.EDITED
@@ -57,7 +57,7 @@ def test_linking_changes_no_reviewed_box_and_no_finalised_frame(project: Project
     with pytest.raises(FinalisedFrameError):
         project.log.append(frame, [TracksLinked(labels=(LabelChanged(uid=uid, track_id=1),))], by_machine(2))
     # linking is automatic and cannot be undone
-    assert project.history.next("ann")[0] == "finalise frame 2"
+    assert project.history.next("ann")[0] == "finalise frame 3"
 
 
 @pytest.fixture
@@ -129,7 +129,7 @@ def test_an_undo_that_would_give_a_track_a_second_box_is_refused_and_can_be_skip
     assert refused.value.frame_id == frame
     assert state_of(project) == before
     # the one before is undone
-    assert project.history.undo("ann", skip=True).words == "draw person (frame 2)"
+    assert project.history.undo("ann", skip=True).words == "draw person (frame 3)"
 
 
 def test_a_pass_gives_a_track_once_and_not_that_of_a_reviewed_box(project: Project, frame: int) -> None:

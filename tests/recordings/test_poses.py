@@ -40,6 +40,7 @@ def require_said(recording: Recording) -> None:
     for i in range(len(recording)):
         pose, frame = recording.pose(i), recording.frame(i)
         assert pose is not None and frame.T_world_camera is not None
+        assert frame.in_map == (recording.pose_source is None)
         np.testing.assert_allclose(frame.T_world_camera.as_matrix(), pose.as_matrix(), atol=1e-9)
 
 
@@ -331,7 +332,7 @@ def test_a_wall_before_a_car_with_gps_stands_still(tmp_path: Path):
 
 
 @pytest.mark.parametrize("form", ["odometry", "beside", "clouds", "tracking"])
-def test_the_poses_of_kittis_odometry_are_those_of_camera_0(tmp_path: Path, form: str):
+def test_the_poses_of_kittis_odometry_are_those_of_camera_0(tmp_path: Path, form: str, monkeypatch: pytest.MonkeyPatch):
     """Camera 0 drives along its z; in a world with z up, that is x."""
     folder = tmp_path / "sequences" / "07"
     calib = TRACKING_CALIB if form == "tracking" else OBJECT_CALIB.replace("Tr_velo_to_cam:", "Tr:")
@@ -356,6 +357,10 @@ def test_the_poses_of_kittis_odometry_are_those_of_camera_0(tmp_path: Path, form
     put(place_of, "1 0 0 0 0 1 0 0 0 0 1\n")
     with pytest.raises(RecordingError, match=r":1: must be a 3 x 4 matrix, 12 numbers, not 11"):
         open_recording(folder)
+    if form == "beside":
+        # a folder that is mounted at the root has nothing beside its parent
+        monkeypatch.setattr(Path, "resolve", lambda *_: Path("/kitti"))
+        assert open_recording(folder).pose_source is None
 
 
 @pytest.mark.parametrize("with_image", [False, True])
@@ -381,6 +386,7 @@ def test_clouds_in_a_map_need_no_poses(tmp_path: Path):
     np.save(tmp_path / "0.npy", rows)
     recording = open_recording(tmp_path)
     require_said(recording)
+    require_said(open_recording(tmp_path, ReaderOptions(look_around=4, camera="around-090")))
     assert recording.pose_source is None and survey_poses(recording) is None
 
 

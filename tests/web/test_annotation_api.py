@@ -99,7 +99,7 @@ def test_changes_are_one_step_and_all_or_none(live: Live, project: Project) -> N
     assert refused.status_code == 404 and "nobody is not in this frame" in refused.json()["error"]["message"]
     assert state(live.client)["labels"][0]["state"] == "accepted"
     undone = live.client.post(f"{ROOM}/undo", json={}).json()
-    assert (undone["frame"], undone["done"]) == (1, "edit person (frame 000000)")
+    assert (undone["frame"], undone["done"]) == (1, "edit person (frame 1)")
     assert [label["state"] for label in undone["state"]["labels"]] == ["proposed", "proposed"]
     assert not undone["state"]["frame"]["finalised"]
     redone = live.client.post(f"{ROOM}/redo", json={}).json()

@@ -77,6 +77,7 @@ def test_a_folder_without_a_recording_says_what_is_there_and_nearest(tree: Path)
         "1 file is no recording: 1 .zip",
         "it is an archive; unpack it, and give the folder",
         "it looks like a KITTI object folder: velodyne/ and calib/ are missing",
+        "it looks like a KITTI tracking folder of one sequence: velodyne/ and calib.txt are missing",
     )
 
 

@@ -14,6 +14,7 @@ from cloud_samples import OBJECT_CALIB
 from nuscenes_samples import real, small
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners
 from annotator.project import BoxRotation, NewLabel, Project, StoredFrame, WriteContext, open_project
 from annotator.project.backup.take_in import copy_project
@@ -46,6 +47,7 @@ from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.link import link_tracks
 from annotator.workflows.tracks.propose_boxes import boxes_of
+from annotator.workflows.tracks.still_objects import find_sightings, make_still
 from annotator.workflows.training.samples import gather, image_samples
 from annotator.workflows.workbench.save_object import apply_changes
 
@@ -96,6 +98,28 @@ def cameras_of(project: Project, frame: StoredFrame) -> list[tuple[str, str]]:
 def accept(project: Project, frame: StoredFrame, box: OrientedBox) -> str:
     context = WriteContext(project.frames.get(frame.id).revision, "maria", Source.MANUAL)
     return project.labels.create(frame.id, [NewLabel("car", box)], context).uids[0]
+
+
+def test_a_still_object_is_seen_by_the_cameras_of_a_rig(make_project: MakeProject, tmp_path: Path):
+    """Each moment has one label of it, of a camera that sees it; the LiDAR moves on by two metres."""
+    folder, project = write_clouds(tmp_path / "clouds"), make_project(classes=("car",))
+    for number in range(2):  # the car stands in the world
+        xyz_m = np.load(folder / f"{number}.npy")
+        np.save(folder / f"{number}.npy", xyz_m - np.float32([2.0 * number, 0.0, 0.0]))
+    rows = [f"{number},{2 * number},0,0,0,0,0,1" for number in range(2)]
+    (folder / "poses.csv").write_text("\n".join(["key,x,y,z,qx,qy,qz,qw", *rows]))
+    add_recordings(project, [folder], options=AROUND, cameras=("all",))
+    first, second = frames_of(project)["around-000"], frames_of(project, 1)
+    box = car_in(project, first)
+    new = NewLabel("car", box, track_id=1)
+    project.labels.create(first.id, [new], WriteContext(0, "maria"))
+    make_still(project, first.recording_id, 1, "maria")
+    assert find_sightings(project, first.recording_id) == 1
+    for frame in second.values():
+        (seen,) = project.labels.of_moment(frame.id)
+        assert project.frames.get(seen.made_in) == second["around-000"]
+        assert iou_3d(seen.label.box, car_in(project, frame, -2.0)) == pytest.approx(1.0, abs=1e-6)
+    assert project.labels.count() == 2
 
 
 def test_all_cameras_are_added_as_recordings_of_one_rig(around: Project, tmp_path: Path):

@@ -37,10 +37,10 @@ export function openDialog({ title, content, actions, submit, required = false, 
     const form = h(
       "form",
       { method: "dialog" },
-      h("header", h("h2", title), close),
+      h("header", { role: "none" }, h("h2", title), close),
       // so that a table without fields can be scrolled by keys
       h("div.content", { tabindex: wide ? 0 : null }, content, problem),
-      h("footer", buttons),
+      h("footer", { role: "none" }, buttons),
     );
     dialog.append(form);
     /** @type {T | null} */

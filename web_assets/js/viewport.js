@@ -10,7 +10,6 @@ import { onTheme, themeNow } from "./colors.js";
 import { h } from "./dom.js";
 import { ApiError } from "./errors.js";
 import { createPace } from "./pace.js";
-
 import { createViewportBar } from "./viewport_bar.js";
 
 /** @typedef {{ project: string, scene: Scene3D }} Wanted */
@@ -58,6 +57,8 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   /** The scene that the server shows. @type {Wanted | null} */
   let last = null;
   let busy = false;
+  /** How often the server has told of the connection. */
+  let heard = 0;
   let isHeld = false;
   /** @type {ViewportState} */
   let state = "opening";
@@ -160,6 +161,7 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     const detail = graphics === "software" ? { most_points: SOFTWARE.points } : {};
     const { frame: open, project: info } = app.state;
     const colors = open && info && open.frame.id === scene.frame ? bar.boxColors(info, open.labels) : {};
+    const before = heard;
     /** @type {Api.SceneAnswer} */
     const answer = await app.api.put(`/api/workbench/${bench.id}/scene`, {
       ...detail,
@@ -171,7 +173,8 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     // the viewer is moved once, not each time that the scene is shown again
     last = { project, scene: { ...scene, look: null } };
     if (wanted === newest) wanted = null;
-    connected(answer.connected);
+    // what was heard meanwhile is newer
+    if (heard === before) connected(answer.connected);
     // the event may be missed while the page's own socket is being opened
     if (!answer.connected) retry = setTimeout(showAgain, ASK_MS);
     pace.moved(performance.now());
@@ -196,8 +199,10 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
 
   function receive(/** @type {ViewportMessage} */ message) {
     if (message.workbench !== bench?.id) return;
-    if (message.event === "connected") connected(message.connected);
-    else if (message.event === "box") user?.onBox(message);
+    if (message.event === "connected") {
+      heard += 1;
+      connected(message.connected);
+    } else if (message.event === "box") user?.onBox(message);
     else user?.onSelect(message.uid);
   }
 

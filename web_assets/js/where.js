@@ -36,7 +36,6 @@ export function createWhere(/** @type {App} */ app) {
   cameras.button.append(camera, nth, h("kbd", "K"));
   const position = button([], () => askFrame(), {
     class: "quiet number position",
-    title: "Go to a frame (Ctrl+G)",
     "data-testid": "frame-position",
   });
   const field = h("input.number.position", {
@@ -157,7 +156,8 @@ export function createWhere(/** @type {App} */ app) {
     const all = camerasNow();
     const at = all.findIndex(({ isCurrent }) => isCurrent);
     name.textContent = all.length > 1 ? rigOf(recording_name) : recording_name;
-    recordings.button.title = `${recording_name}, frame ${key}: another recording`;
+    recordings.button.title = `${recording_name}: another recording`;
+    position.title = `${key}: go to another frame (Ctrl+G)`;
     cameras.button.hidden = all.length < 2;
     cameras.button.title = `${recording_name}: another camera of this moment (K)`;
     camera.textContent = cameraOf(recording_name);

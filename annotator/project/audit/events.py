@@ -346,6 +346,6 @@ def hide_removed(connection: Connection) -> None:
     removed = (
         "SELECT frames.id FROM frames JOIN recordings ON recordings.id = recording_id WHERE removed_ns IS NOT NULL"
     )
-    for table in ("labels", "image_labels", "view_labels"):
+    for table in ("labels", "image_labels", "view_labels", "sightings"):
         is_hidden = f"ifnull(frame_id IN ({removed}), 0)"
         connection.exec_driver_sql(f"UPDATE {table} SET hidden = {is_hidden} WHERE hidden <> {is_hidden}")

@@ -41,6 +41,7 @@ from annotator.project.classes.changing import BATCH, FOLLOWED, require_consiste
 from annotator.project.classes.changing import KIND as CLASSES_CHANGED
 from annotator.project.database.schema import events, frames, recordings
 from annotator.project.database.store import driver_of
+from annotator.project.frames import numbers_of
 from annotator.project.log import Writer, new_action, require_writable
 from annotator.project.recordings import removed_recordings
 from annotator.project.rows import Row, Terms, box_2d_of, said_with, stored_said, values_json, values_of
@@ -51,9 +52,12 @@ from annotator.types.label import AttributeValue
 
 KIND = "restored"
 SCHEMA = ("classes", "attributes")
+OBJECTS = ("labels", "stills")
 
 # Event kind -> verb for the page; the first kind that occurs in an action names the action.
 VERBS = (
+    ("still_made", "make still"),
+    ("still_ended", "make moving"),
     ("label_proposed", "propose"),
     ("label_created", "draw"),
     ("label_deleted", "delete"),
@@ -121,7 +125,7 @@ class Reverted:
 
     Attributes:
         frame_id: the frame; for several frames, the first one of the action; None for a change of the classes.
-        words: description of the action, such as "accept person (frame 000012)", and the attributes of which values
+        words: description of the action, such as "accept person (frame 13)", and the attributes of which values
             could not be restored, because the project no longer allows these.
         original: the operator's original action.
     """
@@ -380,7 +384,7 @@ class _Part:
             # rows and events may name a class by its id
             if change.table != "classes" or present is None:
                 return None
-            return present | {"position": None, "colour": None, "shortcut": None}
+            return present | {"position": None, "colour": None, "shortcut": None, "still": None}
         before = self._allowed(change, change.before, present)
         return before if present is None else present | before
 
@@ -415,7 +419,7 @@ class _Part:
             of_frames = [each for each in terms.attributes if each.of is AttributeOf.FRAME]
             values = self._fitting(of_frames, values_of(state["attributes"]), note)
             allowed["attributes"] = values_json(values) if values else None
-        if change.table == "labels" and "attributes" in state:
+        if change.table in OBJECTS and "attributes" in state:
             of_label = terms.attributes_of(terms.names[(state if present is None else present | state)["class_id"]])
             allowed["attributes"] = values_json(self._fitting(of_label, values_of(state["attributes"]), note))
         image_box = box_2d_of(state.get("image_box"), terms.key)
@@ -442,7 +446,7 @@ class _Part:
         """Author and time of the last change of a row after the action."""
         event = self._last[row.table, row.key]
         query = select(events.c.author, events.c.time_ns, events.c.rows).where(events.c.id > event.id)
-        if row.table != "adjustments" and event.frame_id is not None:
+        if row.table not in ("adjustments", "stills") and event.frame_id is not None:
             query = query.where(in_moment_of(event.frame_id) | events.c.frame_id.is_(None))
         for found in self.connection.execute(query.order_by(events.c.id.desc())):
             if any((each.table, each.key) == (row.table, row.key) for each in rows_of(found.rows)):
@@ -451,7 +455,7 @@ class _Part:
         return "another author", ""
 
     def _name(self, row: RowChange) -> str:
-        if row.table == "labels":
+        if row.table in OBJECTS:
             return f"the {_class_of(self.connection, row, self._last[row.table, row.key])} label"
         if row.table == "classes":
             return f"the class {self._terms.names[int(row.key)]}"
@@ -470,11 +474,15 @@ def _class_of(connection: Connection, row: RowChange, event: Event) -> str:
     """The class of a changed label after an event."""
     states = [row.after, row.before]
     if not any(state is not None and "class_id" in state for state in states):
-        of_frame = true() if event.frame_id is None else in_moment_of(event.frame_id) | events.c.frame_id.is_(None)
+        of_frame = (
+            true()
+            if event.frame_id is None or row.table == "stills"
+            else in_moment_of(event.frame_id) | events.c.frame_id.is_(None)
+        )
         query = select(events.c.rows).where(events.c.id > event.id, of_frame).order_by(events.c.id)
         later = (each for content in connection.execute(query).scalars() for each in rows_of(content))
-        states += [each.before for each in later if (each.table, each.key) == ("labels", row.key)]
-        states.append(read_row(connection, "labels", row.key))
+        states += [each.before for each in later if (each.table, each.key) == (row.table, row.key)]
+        states.append(read_row(connection, row.table, row.key))
     number = next(state["class_id"] for state in states if state is not None and "class_id" in state)
     return Terms(connection).names[number]
 
@@ -483,14 +491,19 @@ def _class_of(connection: Connection, row: RowChange, event: Event) -> str:
 
 
 def _description(connection: Connection, step: Step) -> str:
-    """Description of an action, such as "accept person (frame 000012)" or "delete 3 labels (frame 000012)"."""
+    """Description of an action, such as "accept person (frame 13)" or "delete 3 labels (frame 13)".
+
+    Frames are numbered from 1, as on the page; one that its recording no longer has is named by its key.
+    """
     rows = connection.execute(_NAMED, {"action": step.original}).all()
     made, keys = [event_of(row) for row in rows], [row.key for row in rows]
     first, last = made[0], made[-1]
     if first.view_id == CLASSES or first.kind == ADJUSTED:
         return first.effort_target or "change"
     is_one = first.frame_id == last.frame_id
-    where = f"frame {keys[0]}" if is_one else f"frames {keys[0]} to {keys[-1]}"
+    known = numbers_of(connection, {each.frame_id for each in (first, last) if each.frame_id is not None})
+    start, end = (known.get(each.frame_id or 0, key) for each, key in ((first, keys[0]), (last, keys[-1])))
+    where = f"frame {start}" if is_one else f"frames {start} to {end}"
     kinds = {event.kind for event in made}
     if first.source is Source.IMPORTED:
         what = f"boxes of {first.effort_target}" if first.kind == IMPORTED else ""
@@ -504,8 +517,10 @@ def _description(connection: Connection, step: Step) -> str:
         row.key: row
         for event in made
         for row in event.rows
-        if row.table == "labels" and kind in ("", event.kind) and not row.is_behind
+        if row.table in OBJECTS and kind in ("", event.kind) and not row.is_behind
     }
+    if kind in ("still_made", "still_ended"):  # the labels go, or come, with the object
+        counted = {key: row for key, row in counted.items() if row.table == "stills"}
     if len(counted) > 1:
         return f"{verb} {len(counted)} labels ({where})"
     for row in counted.values():

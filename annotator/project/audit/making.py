@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from annotator.geometry.oriented_box import same_box
-from annotator.project.audit.writing import Write
+from annotator.project.audit.writing import STILL_COLUMNS, Write
 from annotator.project.changes import (
     REQUESTED,
     FrameAttributesSet,
@@ -18,6 +18,8 @@ from annotator.project.changes import (
     NewLabel,
     Payload,
     ProposalsReplaced,
+    StillEnded,
+    StillMade,
     TracksLinked,
     ViewBoxesRemoved,
     ViewBoxesSet,
@@ -25,8 +27,8 @@ from annotator.project.changes import (
 from annotator.project.classes.attributes import Attribute, AttributeOf, fitting
 from annotator.project.classes.values import Values, after_edit, checked, new_values, of_tracks
 from annotator.project.database.schema import columns_of
-from annotator.project.records import OWN, suggestion_json
-from annotator.project.rows import Row, said_json, values_json, values_of
+from annotator.project.records import OWN, BoxRecord, suggestion_json
+from annotator.project.rows import Row, said_json, still_of, values_json, values_of
 from annotator.types import Proposal, ReviewState, Source
 from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue, Said
@@ -60,10 +62,15 @@ def make(write: Write, payload: Payload) -> None:
         case LabelChanged():
             _change(write, payload)
             kind = _kind_of(payload)
-        case LabelDeleted():
+        case LabelDeleted(here=True) if still_of(payload.uid) is not None:
+            rejected = {"state": ReviewState.REJECTED.value} | write.author
+            write.put_label(payload.uid, write.label(payload.uid) | rejected, here=True)
+            kind = "label_rejected"
+        case LabelDeleted() | StillEnded():
             write.label(payload.uid)
-            for uid in [row["uid"] for row in write.labels() if payload.uid in (row["uid"], row["behind"])]:
-                write.put("labels", uid, None)
+            _remove(write, payload.uid)
+        case StillMade():
+            _make_still(write, payload)
         case FrameAttributesSet():
             of_frames = [each for each in write.terms.attributes if each.of is AttributeOf.FRAME]
             row = _frame(write)
@@ -228,7 +235,8 @@ def _change(write: Write, payload: LabelChanged, *, is_linked: bool = False) -> 
     if payload.box is not None and not (
         payload.state is ReviewState.EDITED and same_box(terms.box(row["box"], write.frame_id), payload.box.box())
     ):
-        changed["box"] = terms.box_json(payload.box, write.frame_id)
+        is_still = still_of(payload.uid) is not None and not payload.here
+        changed["box"] = (terms.world_json if is_still else terms.box_json)(payload.box, write.frame_id)
     if payload.image_box is not None:
         write.class_id(payload.image_box.label)
         changed |= {"image_box": terms.box_2d_json(payload.image_box), "frame_id": write.frame_id}
@@ -239,6 +247,8 @@ def _change(write: Write, payload: LabelChanged, *, is_linked: bool = False) -> 
     elif row["suggestion"] is not None and payload.state is ReviewState.EDITED and "box" in changed:
         changed["suggestion"] = json.dumps(json.loads(row["suggestion"]) | {"corrected": True}, separators=(",", ":"))
     is_other = "track_id" in payload.model_fields_set and payload.track_id != row["track_id"]
+    if is_other and still_of(payload.uid) is not None:
+        raise ProjectError(f"{write.where}: track {row['track_id']} stands still, and keeps its number")
     if is_other or (is_linked and "track_id" in payload.model_fields_set):
         changed |= {"track_id": payload.track_id, "track_linked": int(is_linked)}
     values = values_of(row["attributes"])
@@ -250,7 +260,31 @@ def _change(write: Write, payload: LabelChanged, *, is_linked: bool = False) -> 
         values = _with_values(values, payload.attributes, terms.attributes_of(name), name)
         is_own = write.context.source is Source.MANUAL and write.context.effort_target in (None, payload.uid)
         changed["values_set"] = int(is_own or row["values_set"])
-    write.put("labels", payload.uid, row | changed | {"attributes": values_json(values)})
+        if terms.of_tracks:  # what is known of its track may be another value now
+            terms.of_tracks.pop((write.rig_id, (row | changed)["track_id"]), None)
+    write.put_label(payload.uid, row | changed | {"attributes": values_json(values)}, payload.here)
+
+
+def _remove(write: Write, uid: str) -> None:
+    """Removes a label with the boxes behind it, or the still object that it shows."""
+    if (still := still_of(uid)) is not None:
+        write.put("stills", still, None)
+    for behind in [row["uid"] for row in write.labels() if uid in (row["uid"], row["behind"])]:
+        write.put("labels", behind, None)
+
+
+def _make_still(write: Write, payload: StillMade) -> None:
+    row = write.label(payload.uid)
+    is_there = still_of(payload.uid) is not None or write.row("stills", payload.still) is not None
+    if row["track_id"] is None or is_there:
+        why = "stands still already" if is_there else "has no track; give it one first"
+        raise ProjectError(f"{write.where}: label {payload.uid} {why}")
+    box = write.terms.world_json(BoxRecord.of(write.terms.box(row["box"], write.frame_id)), write.frame_id)
+    if row["state"] == ReviewState.PROPOSED.value:
+        row = row | {"state": ReviewState.ACCEPTED.value, "source": write.context.source.value} | write.author
+    _remove(write, payload.uid)
+    still = {"uid": payload.still, "rig_id": write.rig_id, "track_id": row["track_id"], "box": box}
+    write.put("stills", payload.still, {name: row[name] for name in STILL_COLUMNS} | still)
 
 
 def _with_values(

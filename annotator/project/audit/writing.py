@@ -23,14 +23,17 @@ from annotator.project.classes.values import is_kept
 from annotator.project.database.schema import columns_of, packed
 from annotator.project.database.store import Store, driver_of
 from annotator.project.records import BoxRecord
-from annotator.project.rows import Row, Terms, new_uid, with_words
+from annotator.project.rows import Row, Terms, new_uid, still_of, with_words
 from annotator.types import OrientedBox, ReviewState, Source
 from annotator.types.errors import HistoryError, NotFoundError, ProjectError, TrackTakenError
 from annotator.types.messages import alternatives
 
+# What the label of a still object has of it.
+STILL_COLUMNS = {"class_id", "state", "source", "box_kind", "values_set", "author", "time_ns", "box", "attributes"}
 # Frames with boxes of a class, hidden ones included.
 _OF_CLASS = (
     "SELECT frame_id FROM labels WHERE class_id = :id OR instr(ifnull(said, '') || ifnull(image_box, ''), :named) "
+    "UNION SELECT frame_id FROM shown_stills WHERE class_id = :id "
     "UNION SELECT frame_id FROM image_labels WHERE instr(boxes, :named) "
     "UNION SELECT frame_id FROM view_labels WHERE frame_id IS NOT NULL AND instr(boxes || ifnull(geometry, ''), :named)"
 )
@@ -151,17 +154,38 @@ class Write:
                 self._stale |= self._frames_of(change, after or before or {})
 
     def label(self, uid: str) -> Row:
-        """The row of a label of the frame's moment.
+        """The row of a label of the frame's moment; of an object that stands still, as the views show it.
 
         Raises:
             NotFoundError: there is none.
         """
-        row = self.row("labels", uid)
+        row = self.row("labels", uid) if (still := still_of(uid)) is None else self._sighting(uid, still)
         if row is None or row["moment_id"] != self.moment_id:
             raise NotFoundError(
                 f"{self.where}: label {uid} is not in this frame; it may have been deleted; reload the frame"
             )
         return row
+
+    def _sighting(self, uid: str, still: str) -> Row | None:
+        row, query = self.row("stills", still), "SELECT moment_id FROM sightings WHERE uid = ? AND seen = 1"
+        if row is None or (seen := driver_of(self.connection).execute(query, (uid,)).fetchone()) is None:
+            return None
+        label: Row = dict.fromkeys(columns_of("labels"))
+        shared = {name: row[name] for name in label.keys() & row.keys()}
+        return label | shared | {"uid": uid, "frame_id": self.frame_id, "moment_id": seen[0], "track_linked": 0}
+
+    def put_label(self, uid: str, after: Row, here: bool = False) -> None:
+        """Puts a label as changed. An object that stands still changes in all frames, or gets a row of its own `here`,
+        which is the exception there.
+        """
+        if (still := still_of(uid)) is None:
+            self.put("labels", uid, after)
+        elif here:
+            box = self.terms.box(after["box"], self.frame_id)
+            own: Row = {"uid": self.new_uid(), "id": self.terms.next_label_id(), "box": self.box_json(box)}
+            self.put("labels", own["uid"], after | own)
+        elif row := self.row("stills", still):
+            self.put("stills", still, row | {name: after[name] for name in STILL_COLUMNS & row.keys()})
 
     def know(self, table: str, key: Key, row: Row) -> None:
         """Takes a row that was read within the transaction."""
@@ -178,6 +202,12 @@ class Write:
             self._knows_all = True
         now = [row for (table, _), row in self._now.items() if table == "labels" and row is not None]
         return sorted((row for row in now if row["moment_id"] == self.moment_id), key=lambda row: int(row["id"]))
+
+    def sightings(self) -> list[Row]:
+        """The labels that still objects give the frame's moment, as rows."""
+        query = "SELECT uid FROM shown_stills WHERE moment_id = ?"
+        found = driver_of(self.connection).execute(query, (self.moment_id,)).fetchall()
+        return [self.label(uid) for (uid,) in found]
 
     def hidden_tracks(self) -> set[int]:
         """Tracks that have a box in the moment, made in another camera whose recording is removed."""
@@ -281,6 +311,11 @@ class Write:
                 "frame; give one of them another track, or delete the other box",
                 track_id,
             ) from error
+        # changes in other frames that are based on the earlier still object are refused
+        moved = {row.key for event in stored for row in event.rows if row.table == "stills" and row.is_update}
+        see = "moment_id IN (SELECT moment_id FROM sightings WHERE still = ? AND seen = 1)"
+        newer = f"UPDATE frames SET revision = revision + 1 WHERE {see} AND moment_id IS NOT ?"
+        driver_of(self.connection).executemany(newer, [(still, self.moment_id) for still in moved])
         if self.frame_id is not None:
             newer = "UPDATE frames SET revision = ? WHERE moment_id = ?"
             driver_of(self.connection).execute(newer, (stored[-1].revision, self.moment_id))

@@ -55,7 +55,7 @@ from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
 
 AUTHOR, KIND = "annotator project repair", "repaired"
 # Tables that no event changes, in the order of their references.
-_PLAIN = ("recordings", "runs", "frames", "frame_results", "models")
+_PLAIN = ("recordings", "runs", "frames", "frame_results", "models", "sightings")
 # Columns that are as before any event.
 _UNCHANGED = {"frames": {"revision": 0, "finalised": 0, "attributes": None, "run_id": None}}
 
@@ -275,8 +275,9 @@ def _restore(connection: Connection, store: Store, table: str, row: Row) -> bool
     after = {name: row[name] for name in columns_of(table)}
     key = after[AUDITED[table]]
     frame_id = {"frames": row.get("id"), "classes": None, "adjustments": None}.get(table, row.get("frame_id"))
-    if table == "adjustments":
-        query = select(func.min(frames.c.id)).where(frames.c.recording_id == key)
+    if table in ("adjustments", "stills"):
+        of = key if table == "adjustments" else after["rig_id"]
+        query = select(func.min(frames.c.id)).where(frames.c.recording_id == of)
         if (frame_id := connection.execute(query).scalar_one()) is None:
             return False
     present = read_row(connection, table, key)

@@ -75,10 +75,12 @@ class _Sparse(Strict):
 
 
 class ClassStyle(_Sparse):
-    """How the page shows a class: its colour, such as `#3366ff`, and the key that selects it; None: as by default."""
+    """How the page shows a class: its colour, such as `#3366ff`, and the key that selects it; None: as by default.
+    `still`: its objects stand still, such as furniture and signs; None: nobody has said so."""
 
     colour: Colour | None = None
     key: Key | None = None
+    still: bool | None = None
 
 
 class Attribute(_Sparse):

@@ -84,7 +84,7 @@ def _put_classes(write: Write, new: ProjectConfig, renamed: Mapping[str, str]) -
     terms, rows = write.terms, dict[int, Row]()
     for number, name in terms.names.items():
         named = {"id": number, "name": renamed.get(name, name)}
-        rows[number] = named | {"position": None, "colour": None, "shortcut": None}
+        rows[number] = named | {"position": None, "colour": None, "shortcut": None, "still": None}
     ids = dict[str, int]()
     for position, name in enumerate(new.classes):
         old = [before for before, after in renamed.items() if after == name]
@@ -92,7 +92,12 @@ def _put_classes(write: Write, new: ProjectConfig, renamed: Mapping[str, str]) -
         # a class that was removed gets its id back
         ids[name] = number = terms.ids.get(before, max(rows, default=0) + 1)
         style = new.class_styles.get(name, ClassStyle())
-        looks = {"position": position, "colour": style.colour, "shortcut": style.key}
+        looks = {
+            "position": position,
+            "colour": style.colour,
+            "shortcut": style.key,
+            "still": None if style.still is None else int(style.still),
+        }
         rows[number] = {"id": number, "name": name} | looks
     for number, row in rows.items():
         write.put("classes", number, row)
@@ -124,7 +129,7 @@ def _show_others(store: Store, connection: Connection, author: str, action: str)
 def _changed_rows(connection: Connection, change: ClassEdit) -> Iterator[list[tuple[str, Row, Row | None]]]:
     """Yields the rows that a change of attributes, or a removed class, changes: table, before, after."""
     terms = Terms(connection)
-    for table in ("labels", "frames", "image_labels", "view_labels"):
+    for table in ("labels", "stills", "frames", "image_labels", "view_labels"):
         if table in ("image_labels", "view_labels") and not change.removed:
             continue
         for rows in _batches(connection, table):
@@ -147,7 +152,7 @@ def _changed(terms: Terms, change: ClassEdit, table: str, row: Row) -> Row | Non
     if table == "frames":
         values = _values(change, None, values_of(row["attributes"]))
         return row | {"attributes": values_json(values) if values else None}
-    if table == "labels":
+    if table in ("labels", "stills"):
         return _changed_label(terms, change, row)
     boxes = terms.boxes_2d(row["boxes"])
     left = [box for box in boxes if box.label != change.removed]
@@ -167,10 +172,10 @@ def _changed_label(terms: Terms, change: ClassEdit, row: Row) -> Row | None:
     if name == change.removed:
         return None
     after = row | {"attributes": values_json(_values(change, name, values_of(row["attributes"])))}
-    image_box = box_2d_of(row["image_box"], terms.key)
+    image_box = box_2d_of(row.get("image_box"), terms.key)
     if image_box is not None and image_box.label == change.removed:
         after["image_box"] = None
-    if row["said"] is not None:
+    if row.get("said") is not None:
         said = stored_said(row["said"])
         if (label := terms.names[int(said.label)]) == change.removed:
             return after | {"said": None, "of_source": None}

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from sqlalchemy import Connection, func, select
+from sqlalchemy import Connection, Select, Table, func, select
 
 from annotator.project.classes.attributes import Attribute, AttributeOf, value_text
-from annotator.project.database.schema import ALL_LABELS, frames, labels
+from annotator.project.database.schema import ALL_LABELS, BOTH_LABELS, frames, stills
 from annotator.project.database.store import driver_of
 from annotator.project.recordings import KEPT
 from annotator.project.rows import Terms, values_of
@@ -41,6 +42,9 @@ def class_counts(connection: Connection, *, removed: bool = False) -> dict[str, 
     is_shown = "behind IS NULL" + ("" if removed else " AND hidden = 0")
     for number, count in driver.execute(f"SELECT class_id, count(*) FROM labels WHERE {is_shown} GROUP BY class_id"):
         in_3d[names[number]] += count
+    of_stills = "stills" if removed else "shown_stills"
+    for number, count in driver.execute(f"SELECT class_id, count(*) FROM {of_stills} GROUP BY class_id"):
+        in_3d[names[number]] += count
     for table in ("image_labels", "view_labels"):
         of_boxes = f"{shown}{table} AS of, json_each(of.boxes) AS box"
         for number, count in driver.execute(f"SELECT box.value ->> '$.label', count(*) FROM {of_boxes} GROUP BY 1"):
@@ -66,9 +70,8 @@ def counts_with_defaults(
     """
     stored = list(_stored(connection))
     counts, without = _counted(stored), dict[str, int]()
-    of_classes = select(labels.c.label, func.count()).where(labels.c.state != "rejected").group_by(labels.c.label)
     of_frames = select(frames.c.attributes, func.count()).where(frames.c.position.is_not(None))
-    in_all = connection.execute(of_classes).all()
+    in_all = [row for each in BOTH_LABELS for row in connection.execute(_of_classes(each)).all()]
     present = [
         (values_of(each), number) for each, number in connection.execute(of_frames.group_by(frames.c.attributes))
     ]
@@ -84,6 +87,10 @@ def counts_with_defaults(
             lacking -= sum(n for label, values, n in stored if label and each.is_of(label) and name in values)
         without[name] = lacking
     return _by_name(counts), without
+
+
+def _of_classes(table: Table) -> Select[Any]:
+    return select(table.c.label, func.count()).where(table.c.state != "rejected").group_by(table.c.label)
 
 
 def require_fitting(connection: Connection, classes: Sequence[str], attributes: Sequence[Attribute]) -> None:
@@ -137,13 +144,14 @@ def _misfits(stored: Iterable[_Stored], attribute: Attribute, is_gone: bool) -> 
 
 def _stored(connection: Connection, everywhere: bool = False) -> Iterator[_Stored]:
     """With `everywhere`, also of rejected labels, of removed recordings, and of boxes behind others."""
-    table, names = ALL_LABELS if everywhere else labels, Terms(connection).names
-    columns = (table.c.class_id, table.c.attributes)
-    query = select(*columns, func.count()).where(table.c.attributes != "{}").group_by(*columns)
-    if not everywhere:
-        query = query.where(table.c.state != "rejected")
-    for class_id, content, number in connection.execute(query):
-        yield names[class_id], values_of(content), number
+    names = Terms(connection).names
+    for table in (ALL_LABELS, stills) if everywhere else BOTH_LABELS:
+        columns = (table.c.class_id, table.c.attributes)
+        query = select(*columns, func.count()).where(table.c.attributes != "{}").group_by(*columns)
+        if not everywhere:
+            query = query.where(table.c.state != "rejected")
+        for class_id, content, number in connection.execute(query):
+            yield names[class_id], values_of(content), number
     of_frames = select(frames.c.attributes).where(frames.c.attributes.is_not(None))
     for row in connection.execute(of_frames if everywhere else of_frames.where(KEPT)):
         yield None, values_of(row.attributes), 1

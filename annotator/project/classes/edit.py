@@ -40,7 +40,7 @@ class ClassEdit:
 # Bounds of what is sent: longer names are refused before they are compared with others.
 Name = Annotated[str, Field(max_length=64)]
 Names = Annotated[tuple[Name, ...], Field(max_length=1000)]
-Looks = dict[Literal["colour", "key"], Annotated[str, Field(max_length=1000)] | None]
+Looks = dict[Literal["colour", "key", "still"], Annotated[str, Field(max_length=1000)] | bool | None]
 
 
 class AddClass(Strict):

@@ -280,7 +280,7 @@ CREATE TABLE passes (
 """
 # What people see: without the labels and boxes of removed recordings, and without boxes behind others. A join with the
 # classes would be made for every query, and keep SQLite from choosing the order of others.
-_SHOWN_LABELS = """
+_SHown_labels = """
 CREATE VIEW shown_labels AS
 SELECT labels.*, (SELECT classes.name FROM classes WHERE classes.id = labels.class_id) AS label
 FROM labels WHERE labels.hidden = 0 AND labels.behind IS NULL
@@ -355,6 +355,68 @@ _INDEXES = (
     "CREATE UNIQUE INDEX one_active_model_a_role ON models (role) WHERE active = 1",
 )
 
+# --- version 2: objects that stand still ------------------------------------------------------------------------------
+# frames.world: T_world_cloud, as `pose`: from the frame of the cloud to the world of the rig; NULL = not known. Read
+# from the frame that names the moment. classes.still: objects of the class stand still; NULL = nobody has said so.
+
+# A track of a rig (its first recording) that stands still: one box, in the frame of the world.
+_STILLS = """
+CREATE TABLE stills (
+    uid TEXT PRIMARY KEY,
+    rig_id INTEGER NOT NULL REFERENCES recordings (id),
+    track_id INTEGER NOT NULL,
+    class_id INTEGER NOT NULL REFERENCES classes (id),
+    state TEXT NOT NULL CHECK (state IN ('accepted', 'edited', 'rejected')),
+    source TEXT NOT NULL CHECK (source IN ('manual', 'auto', 'imported')),
+    box_kind TEXT NOT NULL CHECK (box_kind IN ('box', 'silhouette')),
+    values_set BOOLEAN NOT NULL CHECK (values_set IN (0, 1)),
+    author TEXT NOT NULL,
+    time_ns INTEGER NOT NULL,
+    box TEXT NOT NULL,
+    attributes TEXT NOT NULL,
+    event_id INTEGER NOT NULL REFERENCES events (id)
+)
+"""
+# What each moment sees of a still object. uid: that of the label that it gives, `still_moment`. frame_id: of the camera
+# that sees it. points: in the box. hidden_share: of the points in its outline, those before it. place: about where the
+# box was, as JSON, when it was looked for; NULL = an operator has had a box of it there. The rows follow from the
+# recordings and the stills; those may go and come back, so nothing refers to them.
+_SIGHTINGS = """
+CREATE TABLE sightings (
+    id INTEGER PRIMARY KEY,
+    uid TEXT NOT NULL UNIQUE,
+    still TEXT NOT NULL,
+    frame_id INTEGER NOT NULL REFERENCES frames (id),
+    moment_id INTEGER NOT NULL REFERENCES frames (id),
+    hidden BOOLEAN NOT NULL DEFAULT 0 CHECK (hidden IN (0, 1)),
+    seen BOOLEAN NOT NULL CHECK (seen IN (0, 1)),
+    points INTEGER,
+    hidden_share REAL,
+    place TEXT
+)
+"""
+_SIGHTING_KEYS = (("moment", "_id"), ("frame", "_id"), ("still", ""))
+# The labels of still objects, where the moment has no row of the track: that is the exception there, or, rejected, says
+# that it is not visible. SQLite opens up the union in a query only if the columns have the same affinities. With `+` it
+# looks for the moment, which has few rows, not for the track.
+_SHOWN_STILLS = """
+CREATE VIEW shown_stills AS
+SELECT CAST(-sightings.id AS INTEGER) AS id, sightings.uid, sightings.frame_id, sightings.moment_id, stills.class_id,
+sightings.hidden, stills.state, stills.source, CAST(NULL AS REAL) AS score, stills.track_id,
+CAST(0 AS BOOLEAN) AS track_linked, CAST(NULL AS REAL) AS view_disagreement, CAST(NULL AS REAL) AS kept_share,
+CAST(NULL AS REAL) AS last_change, CAST(NULL AS REAL) AS image_agreement, CAST(NULL AS REAL) AS expected_iou_loss,
+stills.box_kind, stills.values_set, CAST(NULL AS INTEGER) AS run_id, CAST('still' AS TEXT) AS origin,
+CAST(NULL AS TEXT) AS of_source, CAST(NULL AS TEXT) AS behind, stills.author, stills.time_ns, stills.box,
+CAST(NULL AS TEXT) AS proposed_box, stills.attributes, CAST(NULL AS TEXT) AS image_box,
+CAST(NULL AS TEXT) AS suggestion, CAST(NULL AS TEXT) AS said,
+(SELECT classes.name FROM classes WHERE classes.id = stills.class_id) AS label
+FROM sightings JOIN stills ON stills.uid = sightings.still
+WHERE sightings.hidden = 0 AND sightings.seen = 1 AND NOT EXISTS (
+    SELECT 1 FROM labels WHERE labels.moment_id = sightings.moment_id AND +labels.track_id = stills.track_id
+    AND labels.behind IS NULL
+)
+"""
+
 MIGRATIONS: tuple[Migration, ...] = (
     (
         _RECORDINGS,
@@ -367,7 +429,7 @@ MIGRATIONS: tuple[Migration, ...] = (
         _VIEW_LABELS,
         _ADJUSTMENTS,
         _PASSES,
-        _SHOWN_LABELS,
+        _SHown_labels,
         _SHOWN_IMAGE_LABELS,
         _SHOWN_VIEW_LABELS,
         _RUNS,
@@ -375,5 +437,17 @@ MIGRATIONS: tuple[Migration, ...] = (
         _MODELS,
         *_append_only("events"),
         *_INDEXES,
+    ),
+    (
+        "ALTER TABLE frames ADD COLUMN world TEXT",
+        "ALTER TABLE classes ADD COLUMN still BOOLEAN CHECK (still IN (0, 1))",
+        _STILLS,
+        _SIGHTINGS,
+        "CREATE UNIQUE INDEX one_still_a_track ON stills (rig_id, track_id) WHERE state <> 'rejected'",
+        *(f"CREATE INDEX sightings_of_{of} ON sightings ({of}{id})" for of, id in _SIGHTING_KEYS),
+        "DROP VIEW shown_labels",
+        _SHown_labels.replace("shown_labels", "shown_rows"),
+        _SHOWN_STILLS,
+        "CREATE VIEW shown_labels AS SELECT * FROM shown_rows UNION ALL SELECT * FROM shown_stills",
     ),
 )

@@ -1,6 +1,6 @@
 """The tables of a project, read from what the migrations make; they are the truth.
 
-What people change lies in seven tables. One door (`audit/`) writes a changed row, and with it a row of `events`, the
+What people change lies in eight tables. One door (`audit/`) writes a changed row, and with it a row of `events`, the
 audit: who, when, in which action, from which source, at which revision of the frame; and each changed row as
 `[table, key, before, after]`. Of an updated row, `before` and `after` have the columns that differ; of another one, all
 that have a value, and null is no row.
@@ -9,6 +9,9 @@ that have a value, and null is no row.
   may share: frames with the same `moment_id`. It names its class by id. Its box lies in the frame of its cloud, as it
   was recorded, so a correction of the calibration moves none. A track has one box in a moment: an index says so. What
   each source says of an object is a row; those `behind` the one that is shown belong to it.
+- `stills` (`uid`): objects that stand still; each has one box, in the world of its rig. `sightings` says which moments
+  see it, and follows from the recordings. In the views, each of these is a label, unless the moment has a row of the
+  track.
 - `image_labels` (`frame_id`), `view_labels` (`key`): 2D boxes on camera images and on pseudo-views. In their JSON,
   too, a class is its id (as a text), and the geometry of a view lies in the frame of the cloud.
 - `frames` (`id`): only `finalised`, `attributes` and `run_id` are audited; `revision` counts the changes, and the scans
@@ -113,6 +116,11 @@ frame_results = _FOUND["frame_results"]
 models = _FOUND["models"]
 # What queries read; `ALL_LABELS` has those of removed recordings, too.
 labels = _FOUND["shown_labels"]
+own_labels = _FOUND["shown_rows"]
+still_labels = Table("shown_stills", MetaData(), *(Column(each.name, each.type) for each in labels.c))
+# What `labels` joins. Queries that count or group read one after the other: SQLite would write the union out first.
+BOTH_LABELS = (own_labels, still_labels)
+stills, sightings = _FOUND["stills"], _FOUND["sightings"]
 image_labels = _FOUND["shown_image_labels"]
 view_labels = _FOUND["shown_view_labels"]
 ALL_LABELS = _FOUND["labels"]
@@ -121,6 +129,7 @@ AUDITED = {
     "classes": "id",
     "attributes": "name",
     "labels": "uid",
+    "stills": "uid",
     "image_labels": "frame_id",
     "view_labels": "key",
     "adjustments": "recording_id",
@@ -134,7 +143,8 @@ NOT_AUDITED = {
     "view_labels": ("revision", "event_id", "hidden"),
     "adjustments": ("event_id",),
     "labels": ("hidden",),
-    "frames": ("recording_id", "moment_id", "key", "cloud", "pose", "position", "revision"),
+    "stills": ("event_id",),
+    "frames": ("recording_id", "moment_id", "key", "cloud", "pose", "position", "revision", "world"),
 }
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from sqlalchemy import Connection, case, func, select
 
 from annotator.project.audit.events import Effort
-from annotator.project.database.schema import events, frame_results, frames, image_labels, labels
+from annotator.project.database.schema import events, frame_results, frames, image_labels, still_labels
+from annotator.project.database.schema import own_labels as labels
 from annotator.project.jobs import Status, latest_results
 from annotator.project.progress.reviewed import ORIGINS, UNTOUCHED, Action, ReviewedBox, read_log, read_reviewed
 from annotator.project.recordings import removed_recordings
@@ -280,7 +281,9 @@ def _sorted_frames(connection: Connection) -> tuple[set[int], int, int, list[int
     """
     is_open = labels.c.state == ReviewState.PROPOSED.value
     numbers = select(labels.c.frame_id, func.sum(case((is_open, 1), else_=0)), func.count()).group_by(labels.c.frame_id)
-    by_frame = {frame_id: (waiting, total) for frame_id, waiting, total in connection.execute(numbers)}
+    # none of those that stand still is open
+    by_frame = dict.fromkeys(connection.execute(select(still_labels.c.frame_id).distinct()).scalars(), (0, 1))
+    by_frame |= {frame_id: (waiting, total) for frame_id, waiting, total in connection.execute(numbers)}
     on_images = select(image_labels.c.frame_id, image_labels.c["count"])
     drawn = {row[0]: row[1] for row in connection.execute(on_images)}
     nothing = (frame_results.c.status == Status.DONE.value) & (frame_results.c.proposals == 0)

@@ -23,16 +23,17 @@ from annotator.project.audit.events import Effort, Event, RowChange, event_of, w
 from annotator.project.changes import Origin
 from annotator.project.database.schema import AnyRow, events, labels
 from annotator.project.records import BOXES_2D, parsed
-from annotator.project.rows import Terms
+from annotator.project.rows import T_camera_stored, Terms, still_of
 from annotator.project.sources import KIND as IMPORTED
 from annotator.types import Box2D, ReviewState, Source
 
 DRAFT = "draft-"
 
 UNTOUCHED, CORRECTED, FROM_NOTHING = "proposal accepted untouched", "proposal edited", "from nothing"
-PLACED, COPIED, IMPORT_EDITED = "placed in 3D", "copied", "import edited"
-ORIGINS = (UNTOUCHED, CORRECTED, FROM_NOTHING, PLACED, COPIED, IMPORT_EDITED)
-_MANUAL = {Origin.DRAWN: FROM_NOTHING, Origin.PLACED: PLACED, Origin.COPIED: COPIED, None: FROM_NOTHING}
+PLACED, COPIED, STILL, IMPORT_EDITED = "placed in 3D", "copied", "of a still object", "import edited"
+ORIGINS = (UNTOUCHED, CORRECTED, FROM_NOTHING, PLACED, COPIED, STILL, IMPORT_EDITED)
+_MANUAL = {None: FROM_NOTHING, Origin.DRAWN: FROM_NOTHING, Origin.PLACED: PLACED, Origin.COPIED: COPIED}
+_MANUAL |= {Origin.STILL: STILL}
 
 
 def draft_id(frame_id: int, image_box: Box2D) -> str:
@@ -87,7 +88,7 @@ class ActionLog:
         for row in event.rows:
             if row.table == "image_labels":
                 self._add_image_boxes(event.frame_id, row)
-            elif row.table == "labels" and not row.is_behind:
+            elif row.table in ("labels", "stills") and not row.is_behind:
                 uid = str(row.key)
                 action.labels[uid] = None
                 if event.kind == "label_created" and subject is not None and subject.startswith(DRAFT):
@@ -184,26 +185,28 @@ class ReviewedBox(NamedTuple):
 
 def read_reviewed(connection: Connection, log: ActionLog) -> list[ReviewedBox]:
     """All reviewed labels, in the order of their creation."""
-    columns = ("uid", "frame_id", "label", "class_id", "box", "source", "state", "origin", "proposed_box")
+    columns = ("uid", "frame_id", "label", "class_id", "box", "source", "state", "origin", "proposed_box", "id")
     centers = [func.json_extract(labels.c.box, f"$.center_m[{axis}]") for axis in range(3)]
     query = select(*(labels.c[name] for name in columns), *centers)
     query = query.where(labels.c.state != ReviewState.PROPOSED.value).order_by(labels.c.id)
     rows, terms, spent = connection.execute(query).all(), Terms(connection), log.effort_by_label()
     compared, boxes = _compared(rows, log, terms), []
     for row in rows:
-        T, is_rejected = terms.T_camera_cloud(row.frame_id), row.state == ReviewState.REJECTED.value
+        T, is_rejected = T_camera_stored(row.box, terms.place(row.frame_id)), row.state == ReviewState.REJECTED.value
         iou, is_same = compared.get(row.uid, (None, None))
+        uid = still_of(row.uid) or row.uid
         boxes.append(
             ReviewedBox(
                 frame_id=row.frame_id,
                 label=row.label,
-                range_m=math.hypot(*(row[-3:] if T is None else T.apply(row[-3:]))),
+                range_m=math.hypot(*(row[-3:] if T is None else T[:3, :3] @ row[-3:] + T[:3, 3])),
                 is_rejected=is_rejected,
                 was_proposed=is_same is not None or row.proposed_box is not None,
                 origin=None if is_rejected else _origin(row, is_same),
                 iou=None if is_rejected else iou,
-                effort=spent.get(row.uid),
-                decided=log.decided.get((row.uid, is_rejected)),
+                # that of an object which stands still, in the first frame
+                effort=spent.get(uid) if uid == row.uid else spent.pop(uid, None),
+                decided=log.decided.get((uid, is_rejected)),
             )
         )
     return boxes
@@ -215,7 +218,7 @@ def _origin(row: AnyRow, is_same: bool | None) -> str | None:
         is_same = row.state == ReviewState.ACCEPTED.value
     if is_same is not None:
         return UNTOUCHED if is_same else CORRECTED
-    if row.source == Source.IMPORTED.value:
+    if row.source == Source.IMPORTED.value and row.origin is None:
         return IMPORT_EDITED if row.state == ReviewState.EDITED.value else None
     return _MANUAL[row.origin]
 

@@ -140,7 +140,11 @@ class CloudFolder(Scanned):
             remedy = f"check that {source.path} belongs to this cloud and maps its frame to the camera's"
             xyz_m = source.to_camera(raw).xyz_m
             cloud = visible_cloud(cloud_path, source.camera, xyz_m, raw, image.rgb, remedy)
-        moment = {"timestamp_ns": self._time_ns(i), "T_world_camera": self._T_world_camera(i, source)}
+        moment = {
+            "timestamp_ns": self._time_ns(i),
+            "T_world_camera": self._T_world_camera(i, source),
+            "in_map": source.in_world,
+        }
         return image.frame(key, i, source.camera, cloud, up=source.up, T_camera_label=source.T_camera_cloud, **moment)
 
     def scan(self, i: int) -> Scan:
@@ -155,6 +159,7 @@ class CloudFolder(Scanned):
             source.up is not None,
             self._time_ns(i),
             None if T_world_camera is None else T_world_camera * source.T_camera_cloud,
+            source.in_world,
         )
 
     @property

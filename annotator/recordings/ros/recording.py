@@ -118,20 +118,22 @@ class RosBag(Recording):
         """Reads frame `i`; from depth images, with `depth_m`."""
         assert self.chosen.image is not None
         with self._errors(i) as key:
-            partner, depth_m = self._partner(i), None
+            partner, depth_m, in_map = self._partner(i), None, False
             camera, T, up = self._mounted(i, frame_in(self.chosen.partner, partner))
             world = self._T_world_camera(i, camera, T)
             rgb = self._picture(self.chosen.image.topic, int(self.pairs.image[i]), camera)
             if self.chosen.depth is not None:
                 cloud, depth_m = self._from_depth(partner, self.chosen.depth, T, rgb, camera, self._log_ns(i))
             else:
-                raw = self._cloud(partner)
+                raw, in_map = self._cloud(partner), world_pose(T) is not None
                 xyz_m = T.apply(raw.xyz_m).astype(np.float32)
                 cloud = visible_cloud(self.path, camera.camera, xyz_m, raw, rgb, f"check tf at frame {key}")
             if len(cloud) == 0:
                 raise ValueError(f"no point of {self.chosen.partner.name} lies in the image, so the cloud is empty")
             time_ns = int(self.pairs.time_ns[i])
-            return Frame(key, i, camera.camera, rgb, cloud, depth_m, up, None, time_ns, T_world_camera=world)
+            return Frame(
+                key, i, camera.camera, rgb, cloud, depth_m, up, None, time_ns, T_world_camera=world, in_map=in_map
+            )
 
     @property
     def pose_source(self) -> str | None:
@@ -275,7 +277,8 @@ class ScanBag(RosBag, Scanned):
                 T_world_scan = None if T_world_camera is None else T_world_camera * T_camera_scan
             time_ns = int(self.pairs.cloud_time_ns[i])
             T_scan_label = RigidTransform.identity()
-            return Scan(lambda: raw, R_level_scan, place_m, T_scan_label, knows_up, time_ns, T_world_scan)
+            in_map = bool(place_m.any())
+            return Scan(lambda: raw, R_level_scan, place_m, T_scan_label, knows_up, time_ns, T_world_scan, in_map)
 
     def pose(self, i: int) -> RigidTransform | None:
         if self.chosen.image is not None:

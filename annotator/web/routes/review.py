@@ -164,9 +164,10 @@ SourceName = Annotated[str, Query(min_length=1, max_length=MOST_NAME)]
 
 class ItemJson(Schema):
     """A proposal to review, or (uid null) a frame to draw on; `sources` are all that see the object, `heading` is a
-    unit vector in the frame of its camera."""
+    unit vector in the frame of its camera, `number` is that of the frame, from 1."""
 
     frame: int
+    number: int
     key: str
     recording: int
     uid: str | None
@@ -210,9 +211,10 @@ def queue(
         usual = None if of_frame is None else of_frame.default
         wanted = ValueFilter(attribute, of_frame is not None, usual, known, value, contains, low, high)
     queued = all_items(at.project, order, label, wanted, source, MOST_ITEMS)
+    numbers = at.project.frames.numbers({item.frame.id for item in queued.items})
     items = [
-        ItemJson.of(item, frame=item.frame.id, key=item.frame.key, recording=item.frame.recording_id)
-        for item in queued.items
+        ItemJson.of(item, frame=frame.id, number=numbers[frame.id], key=frame.key, recording=frame.recording_id)
+        for item, frame in ((item, item.frame) for item in queued.items)
     ]
     return QueueOut(items=items, remaining=queued.total)
 

@@ -396,7 +396,8 @@ def follow_from_frame(
     """
     page = page_at(project, frame_id, revision)
     frame = page.frame
-    chosen = [stored for stored in page.labels if stored.is_own] if uid is None else [label_of(page, uid)]
+    moving = [stored for stored in page.labels if stored.is_own and stored.still is None]
+    chosen = moving if uid is None else [label_of(page, uid)]
     reviewed = [stored.label for stored in chosen if stored.label.state in REVIEWED]
     if not reviewed:
         which = "this box is not reviewed" if uid is not None else f"frame {frame.key} has no reviewed box to follow"
@@ -429,7 +430,8 @@ def _ends_from(timeline: Timeline, frame_id: int, label: Label, forward: bool) -
 def _reviewed(timeline: Timeline, tracks: Collection[int] | None) -> list[list[KeyFrame]]:
     """Returns the reviewed boxes of each object, in order; each box without a track is an object."""
     stored = timeline.project.labels.select(states=REVIEWED, recordings=[timeline.recording_id])
-    present = [each for each in stored if each.frame_id in timeline.index]
+    # an object that stands still has its boxes
+    present = [each for each in stored if each.frame_id in timeline.index and each.still is None]
     known = {each.label.track_id for each in present if each.label.track_id is not None}
     if tracks is not None and (missing := set(tracks) - known):
         raise ConfigError(f"track {min(missing)} has no reviewed box to follow; accept one first")

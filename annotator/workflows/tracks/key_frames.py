@@ -49,7 +49,7 @@ def moved_along(
     was, track_id = stored.label.box, stored.label.track_id
     if track_id is None or stored.label.state is ReviewState.REJECTED or frame.index is None or same_box(was, now):
         return []
-    if not project.recordings.get(frame.recording_id).is_sequence:
+    if stored.still is not None or not project.recordings.get(frame.recording_id).is_sequence:
         return []
     along = project.labels.along(frame.recording_id, tracks=[track_id])
     along = tuple(each for each in along if each.label.state is not ReviewState.REJECTED)

@@ -122,8 +122,12 @@ class Track:
 
     def boxes_of(self, track_id: int) -> list[tuple[StoredFrame, StoredLabel]]:
         """The boxes of another track, as `boxes`."""
-        along = self.project.labels.along(self.recording_id, tracks=[track_id])
-        return [(self.frames[each.frame_id], each) for each in along if not is_rejected(each)]
+        found = dict[str, StoredLabel]()
+        for each in self.project.labels.along(self.recording_id, tracks=[track_id]):
+            if not is_rejected(each):
+                # one that stands still has the same box in all frames
+                found.setdefault(each.still or each.label.uid, each)
+        return [(self.frames[each.frame_id], each) for each in found.values()]
 
     def in_span(self) -> list[tuple[StoredFrame, StoredLabel]]:
         """Its boxes in the span."""
@@ -404,6 +408,18 @@ class Done:
     changes: tuple[tuple[int, Sequence[Payload]], ...]
 
 
+def _require_moving(track: Track, operation: Operation) -> None:
+    """Refuses what an object that stands still cannot have: parts, another number, and gaps."""
+    boxes, is_numbered = list(track.boxes), isinstance(operation, SetNumber)
+    if isinstance(operation, SetNumber) and operation.number is not None:
+        boxes += track.boxes_of(operation.number)
+    if (is_numbered or isinstance(operation, Fill) or not track.is_whole) and any(each.still for _, each in boxes):
+        raise ConfigError(
+            f"{track.name} has one box in all frames, as an object that stands still, and keeps its number; say first "
+            "that it moves (`annotator tracks moving`)"
+        )
+
+
 def apply(
     project: Project,
     recording_id: int,
@@ -433,6 +449,7 @@ def apply(
     for _ in range(ATTEMPTS):
         with project.store.snapshot():
             track = Track(project, recording_id, track_id, operation, recordings)
+            _require_moving(track, operation)
             steps = list(operation.steps(track))
             count = _sum([step.count for step in steps])
             if not (count.changed or count.proposed or count.deleted):

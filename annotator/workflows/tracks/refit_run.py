@@ -105,6 +105,8 @@ class RefitRun:
                 if stored.label.state is not ReviewState.PROPOSED or not same_box(stored.label.box, box.box):
                     return
                 fitted = self._fit(frame, stored.label) if fitted is None else fitted
+                if same_box(fitted, stored.label.box):
+                    return
                 there = Surroundings(self._project, [(frame, fitted, stored.label.track_id)])
                 if there.is_finalised(frame, stored) or not (events := changed_box(there, frame, stored, box=fitted)):
                     return

@@ -145,8 +145,7 @@ def save_object(
         target = context.effort_target or _effort_target(page, image_boxes, drawn, uid)
         corrected = [entry for entry in payloads if isinstance(entry, LabelChanged) and entry.uid == uid]
         parts = [FramePart(frame_id, payloads, replace(context, effort_target=target))]
-        moved, _ = _in_other_frames(project, page, corrected, context, recordings)
-        project.log.append_to_frames([*parts, *moved])
+        _append(project, frame_id, corrected, context, lambda _: parts, recordings)
     return uid
 
 
@@ -272,14 +271,36 @@ def apply_changes(
         FrameError: objects must be remeasured, but the frame cannot be read.
         ProjectError: unknown class.
     """
+    return _append(
+        project,
+        frame_id,
+        payloads,
+        context,
+        lambda page: parts_of(project, page, payloads, context, open_frame),
+        recordings,
+    )
+
+
+def _append(
+    project: Project,
+    frame_id: int,
+    payloads: Sequence[Payload],
+    context: WriteContext,
+    parts: Callable[[FramePage], Sequence[FramePart]],
+    recordings: OpenRecording | None,
+) -> int:
+    """Stores a frame's changes (`parts`) and those that its corrected boxes (in `payloads`) imply in other frames.
+
+    Again if only another frame was changed meanwhile. Returns the number of boxes that have moved along.
+    """
     for attempt in range(1, ATTEMPTS + 1):
         # if another change comes between this read and the append, the append refuses the stale revision
         with project.store.snapshot():
             page = read_page(project, frame_id)
             moved, boxes = _in_other_frames(project, page, payloads, context, recordings)
-            parts = [*parts_of(project, page, payloads, context, open_frame), *moved]
+            all_parts = [*parts(page), *moved]
         try:
-            project.log.append_to_frames(parts)
+            project.log.append_to_frames(all_parts)
         except StaleRevisionError:
             is_own = project.frames.get(frame_id).revision != context.revision
             if is_own or not moved or attempt == ATTEMPTS:
@@ -400,7 +421,8 @@ def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: 
     if source_id == frame_id:
         raise ConfigError(f"frame {frame.key} cannot be copied into itself")
     source = project.frames.get(source_id)
-    own = (each.label for each in project.labels.of_moment(source_id) if each.is_own)
+    # an object that stands still has its box in the frames that see it
+    own = (each.label for each in project.labels.of_moment(source_id) if each.is_own and each.still is None)
     boxes = [label for label in own if label.state in REVIEWED]
     copies = [proposal_like(label, label.box, label.track_id, origin=Origin.COPIED) for label in boxes]
     # the operator asks for them, also where a wrong box was rejected

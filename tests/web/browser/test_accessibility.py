@@ -22,7 +22,7 @@ PAGES = {
     "/export": "[data-testid=export-form]",
     "/statistics": "[data-testid=stats-tiles]",
     "/checks": "[data-testid=checks-note]",
-    "/alignment/1": "[data-testid=alignment-recording]",
+    "/alignment/1": "[data-testid=alignment-picture]",
 }
 FOUND = """async () => {
   const { violations } = await axe.run(document, { resultTypes: ["violations"] });

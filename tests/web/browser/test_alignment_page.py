@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -9,7 +11,9 @@ from browser_page import label_truth
 
 from annotator.geometry.oriented_box import same_box
 from annotator.project import Project
+from annotator.recordings import open_recording
 from annotator.types import Correction
+from annotator.workflows.add_recordings import register_recording
 
 if TYPE_CHECKING:
     from conftest import Shop
@@ -78,8 +82,9 @@ def test_a_correction_and_a_level_are_tried_kept_and_undone(aligned: Page, shop:
 
 
 def test_what_is_unknown_or_changed_by_others_is_explained_and_what_was_set_is_not_lost_unasked(
-    aligned: Page, shop: Shop, room: Project, monkeypatch: pytest.MonkeyPatch
+    aligned: Page, shop: Shop, room: Project, own_copy: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    register_recording(room, open_recording(own_copy("people")), name="other")
     page, keep, aside = aligned, aligned.get_by_test_id("keep-up"), aligned.locator(".alignment-mode .aside")
     held: list[Route] = []
     expect(keep).to_be_disabled()  # known from the files, and shown as it is
@@ -156,8 +161,21 @@ def test_what_is_unknown_or_changed_by_others_is_explained_and_what_was_set_is_n
     page.get_by_test_id("keep-correction").click()
     expect(page.get_by_test_id("clear-correction")).to_be_enabled()
     expect(source).to_contain_text("not kept yet")
-    # a page that is left keeps what was set, or says why not
+    # on another recording it would be lost
     page.get_by_test_id("turn-x-field").fill("2")
+
+    def other(answer: str) -> None:
+        page.get_by_test_id("choose-recordings").click()
+        page.get_by_test_id("recordings").get_by_role("button").filter(has_text="other").click()
+        asked = page.get_by_role("dialog", name="Another recording")
+        expect(asked).to_contain_text("not kept yet")
+        asked.get_by_role("button", name=answer).click()
+        expect(asked).to_have_count(0)
+
+    other("Cancel")
+    expect(page.get_by_test_id("recording-name")).not_to_have_text("other")
+    expect(page.get_by_test_id("turn-x-field")).to_have_value("2")
+    # a page that is left keeps what was set, or says why not
     page.get_by_test_id("mode-statistics").click()
     refused = {"error": {"kind": "ProjectError", "message": "the disk is full"}}
     page.route("**/correction", lambda route: route.fulfill(status=507, json=refused))
@@ -171,3 +189,9 @@ def test_what_is_unknown_or_changed_by_others_is_explained_and_what_was_set_is_n
     stored = room.recordings.all()[0]
     assert stored.correction.turn_rad[0] == pytest.approx(0.0349, abs=1e-4)
     assert stored.up is not None and stored.up[0] == pytest.approx(0.12, abs=0.02)
+    page.get_by_test_id("mode-alignment").click()
+    expect(page.get_by_test_id("turn-x-field")).to_have_value("2.00")
+    page.get_by_test_id("turn-x-field").fill("3")
+    other("Discard it")
+    expect(page.get_by_test_id("recording-name")).to_have_text("other")
+    expect(page.get_by_test_id("turn-x-field")).to_have_value("0.00")

@@ -21,7 +21,7 @@ from annotator.project import Effort, NewLabel, Project, WriteContext
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.recordings import open_recording
-from annotator.types import BoxKind, DetectorKind, OrientedBox
+from annotator.types import Box2D, BoxKind, DetectorKind, OrientedBox
 from annotator.web.jobs.records import WORK
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.training.held_out import Decision, Rival
@@ -100,8 +100,18 @@ def test_a_dataset_is_exported_and_downloaded(
     page, recording, room = shared_page, own_copy("people"), shop.new_project()
     room.recordings.move({1: (recording, [frame.key for frame in room.frames.of()])})
     page.goto(f"/#/{room.path.name}/export")
+    none = page.get_by_text("No boxes are accepted yet")
+    expect(none).to_be_visible()
+    expect(page.get_by_test_id("export-form")).to_be_hidden()
+    # 2D boxes alone can be exported, in the formats that hold them
+    box = Box2D("person", 10.0, 10.0, 60.0, 90.0)
+    room.boxes.set_on_image(1, [box], BoxKind.BOX, WriteContext(0, "ann"))
+    page.reload()
+    expect(none).to_be_visible()
     expect(page.get_by_test_id("export-start")).to_be_disabled()
-    expect(page.get_by_text("No boxes are accepted yet")).to_be_visible()
+    page.get_by_test_id("export-format").select_option("yolo")
+    expect(page.get_by_test_id("export-start")).to_be_enabled()
+    page.get_by_test_id("export-format").select_option("rcv")
     chosen = label_truth(room, recording, 3)
     count = chosen - len(room.labels.of_frame(room.frames.of()[0].id))
     (recording / "depth/000000.png").write_bytes(b"")

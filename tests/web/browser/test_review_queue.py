@@ -84,6 +84,9 @@ def test_a_frame_that_was_opened_by_itself_is_never_left_by_a_decision(desk: Des
     page.get_by_test_id("queue-item").first.click()
     expect(page.get_by_test_id("frame-position")).not_to_have_text(position)
     desk.settled()
+    # its row has the frame's name in the bar
+    number = page.get_by_test_id("frame-position").inner_text().split(" / ")[0]
+    expect(page.locator('[data-testid="queue-item"][aria-current]')).to_contain_text(f"frame {number}")
     assert desk.label.state is ReviewState.PROPOSED
     # all of such a frame are accepted in it
     frame, position = visit_another(desk)

@@ -301,6 +301,9 @@ def test_one_drag_and_space_make_a_label_and_detected_image_boxes_are_accepted(
     page.remove_listener("request", record)
     assert posts == ["object"], "one request a drag"
     assert bench.labels == []
+    # said where the box would stand, too, and taken by the one button for it
+    expect(page.get_by_test_id("box-advice")).to_contain_text("Space takes the dashed boxes")
+    expect(page.get_by_role("button", name=re.compile("^Accept"))).to_have_count(1)
     page.keyboard.press("Space")
     row, box = page.get_by_test_id("object"), page.get_by_test_id("frame-box")
     expect(box).to_have_count(1)
@@ -339,7 +342,7 @@ def test_one_drag_and_space_make_a_label_and_detected_image_boxes_are_accepted(
     with page.expect_response(answers_drag(3)):
         bench.pull(3, (1.0, 0.3), (0.9, 0.3))
     expect(dashed).to_have_count(1)
-    page.get_by_test_id("accept-all").click()
+    page.get_by_test_id("act-accept").click()
     expect(box).to_have_count(2)
     bench.saved()
     label = bench.labels[1]
@@ -353,6 +356,7 @@ def test_one_drag_and_space_make_a_label_and_detected_image_boxes_are_accepted(
     page.get_by_label("Next frame in time").click()
     suggested = page.get_by_test_id("image-editor").locator(".box.suggested")
     expect(suggested).to_have_count(3)
+    expect(page.get_by_test_id("box-advice")).to_contain_text("Select a box, or draw one")
     with page.expect_response(answers_drag(0)):
         suggested.first.click(force=True)
     expect(dashed).to_have_count(4)

@@ -158,7 +158,7 @@ def test_a_batch_is_one_action_of_who_started_it(people: Project, knowing: Knowi
     first = proposals()
     assert batch(other, 3) == (3, 0)
     second = proposals()
-    assert people.history.undo("ann").words == "propose boxes (frames 000000 to 000002)"
+    assert people.history.undo("ann").words == "propose boxes (frames 1 to 3)"
     assert proposals() == first
     # what the frames were processed with comes back, too
     assert {frame.key for frame in people.jobs.pending(people.jobs.all()[0].key)} == {"000002", "000003", "000004"}

@@ -103,7 +103,7 @@ def test_undo_takes_the_actions_during_a_run_first(room: Room) -> None:
     room.run().run(accept_the_first)
     assert room.counts == [1] * 5
     assert room.project.history.undo(ANN).words.startswith("accept")
-    assert room.project.history.undo(ANN).words == "propose 4 labels (frames 000001 to 000004)"
+    assert room.project.history.undo(ANN).words == "propose 4 labels (frames 2 to 5)"
     assert room.counts == [1, 0, 0, 0, 0]
 
 

@@ -9,7 +9,7 @@ import pytest
 from moving import ANN, SIZE_M, box_of
 from true_room import Room
 
-from annotator.project import NewLabel
+from annotator.project import FramePart, NewLabel
 from annotator.project.changes import LabelChanged
 from annotator.project.classes.attributes import Attribute
 from annotator.project.classes.edit import PutAttribute
@@ -172,6 +172,20 @@ def test_one_size_keeps_the_bottom_and_the_sides_that_face_the_camera(track: Roo
     stays = np.isclose(faces(was), faces(now))
     assert stays.tolist() == [[True, False, True], [False, False, False]]
     assert now.center_m[1] == was.center_m[1]
+
+
+def test_boxes_that_an_action_adds_have_the_value_that_it_gave_their_track_before(room: Room) -> None:
+    coat = Attribute.model_validate({"name": "coat", "kind": "text", "of": "track"})
+    room.project.change_classes(PutAttribute(attribute=coat), ANN)
+    first, second = (NewLabel("person", box_of(0, index), track_id=3) for index in (0, 1))
+    red = LabelChanged(uid=first.uid, attributes={"coat": "red"})
+    room.project.log.append_to_frames(
+        [
+            FramePart(room.frames[0].id, [first, red], room.context(0)),
+            FramePart(room.frames[1].id, [second], room.context(1)),
+        ]
+    )
+    assert [label.attributes for _, label in of_track(room)] == [{"coat": "red"}] * 2
 
 
 def test_values_are_set_along_a_track(track: Room) -> None:

@@ -114,7 +114,7 @@ def test_finalised_frames_are_linked_but_not_changed(room: Room, owner: dict[str
     assert all(label.track_id is None for label in room.labels(0))
     assert [e.author for e in project.log.of_frame(first.id)] == ["rcv", ANN]
     assert [e.author for e in project.log.of_frame(second.id)] == ["rcv", AUTHOR]
-    assert project.history.next(ANN)[0] == "finalise frame 000000"
+    assert project.history.next(ANN)[0] == "finalise frame 1"
 
 
 def fill(room: Room, track_id: int = 3, **options: Any) -> Count:
@@ -138,7 +138,7 @@ def test_frames_between_boxes_are_filled_as_one_action(room: Room) -> None:
         (label,) = new[n]
         assert (label.state, label.source) == (ReviewState.PROPOSED, Source.AUTO)
         assert np.allclose(label.box.center_m, (1 - n / 4) * room.box(0).center_m + n / 4 * room.box(4).center_m)
-    assert people.history.next(ANN)[0] == "propose 2 labels (frames 000001 to 000003)"
+    assert people.history.next(ANN)[0] == "propose 2 labels (frames 2 to 4)"
     people.history.undo(ANN)
     assert {label.uid for label in room.labels(1)} == set(old)
     assert room.labels(3) == []
@@ -160,6 +160,9 @@ def test_filled_boxes_are_fitted_in_the_background_until_it_is_stopped(room: Roo
     room.accept_box(4, room.box(4))
     done = apply(people, room.recording, 3, Fill(refit=True), ANN)
     between = {index: label for index in (1, 2, 3) for label in room.labels(index)}
+    revisions = [people.frames.get(frame.id).revision for frame in frames]
+    assert RefitRun(people, done, ANN, lambda _, label: label.box).run().tracks[0].boxes == 0, "none was better"
+    assert [people.frames.get(frame.id).revision for frame in frames] == revisions
 
     def fit(frame: StoredFrame, label: Label) -> OrientedBox:
         index = [each.id for each in frames].index(frame.id)

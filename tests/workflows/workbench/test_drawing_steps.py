@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -13,8 +15,10 @@ import pytest
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import same_box
-from annotator.project import Origin, Project, WriteContext
+from annotator.project import NewLabel, Origin, Project, WriteContext
 from annotator.project.audit.events import Effort
+from annotator.project.changes import LabelChanged
+from annotator.project.labels import Labels
 from annotator.project.overview import read_page
 from annotator.project.progress.reviewed import draft_id
 from annotator.rcv.known_objects import Span
@@ -120,6 +124,33 @@ def test_each_completed_step_gives_the_next_views_and_a_box(desk: Desk) -> None:
     assert iou_3d(done.box, truth) > iou_3d(second.box, truth) - 0.1
     assert len(done.outline) > 6
     assert done.points > 50
+
+
+def test_a_box_that_somebody_accepts_meanwhile_does_not_move_along_with_a_redrawn_one(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project, image_box, four = desk.project, desk.image_box(), desk.four()
+    uid = desk.save([image_box], desk.object(image_box, four))
+    assert uid is not None
+    project.log.append(desk.frame_id, [LabelChanged(uid=uid, track_id=3)], WriteContext(desk.revision, "ann"))
+    box, later = project.labels.get(uid).label.box, project.frames.of()[1].id
+    new = NewLabel("person", box, track_id=3, state=ReviewState.PROPOSED)
+    (other,) = project.labels.create(later, [new], WriteContext(0, "ann")).uids
+
+    def meanwhile(labels: Labels, boxes: Any) -> Any:
+        monkeypatch.undo()
+        found = labels.near(boxes)
+        with ThreadPoolExecutor(1) as threads:
+            threads.submit(project.labels.accept, later, other, WriteContext(1, "bob")).result()
+        return found
+
+    monkeypatch.setattr(Labels, "near", meanwhile)
+    last = four[-1]
+    wider = replace(last, x_max=last.x_max + 40)
+    assert desk.save([image_box], desk.object(image_box, [*four[:3], wider], uid)) == uid
+    assert not same_box(project.labels.get(uid).label.box, box)
+    kept = project.labels.get(other).label
+    assert kept.state is ReviewState.ACCEPTED and same_box(kept.box, box)
 
 
 def test_boxes_without_points_give_a_reason(desk: Desk) -> None:

@@ -3,7 +3,6 @@
  * frames of the recording, and can be undone.
  */
 
-import { withQuery } from "../api.js";
 import { confirm } from "../dialogs.js";
 import { h } from "../dom.js";
 import { isAborted } from "../errors.js";
@@ -40,10 +39,7 @@ export function mount(root, app, until) {
     onKeep: (up) => keep("up", { up }),
     onDiscard: discard,
   });
-  const picture = createPicture(app.state.project.recordings, {
-    onRecording: () => void openRecording(),
-    onMissing: (url) => void explain(url),
-  });
+  const picture = createPicture({ onMissing: (url) => void explain(url) });
   const frameProblem = createFrameProblem(picture.host, {
     onRetry: () => void load(),
     onStep: (which) => void leaveBroken(which),
@@ -97,7 +93,6 @@ export function mount(root, app, until) {
     points = Array.from({ length: flatPoints.length / 3 }, (_, i) => flatPoints.slice(3 * i, 3 * i + 3));
     picture.setProblem(null);
     aside.inert = false;
-    picture.chosen.value = String(answer.recording);
     reset();
     if (isSame) putBack(sliders, up, proposed);
   }
@@ -120,7 +115,7 @@ export function mount(root, app, until) {
 
   async function load() {
     try {
-      frame ??= await firstFrame();
+      frame ??= await app.api.get(app.path("first-frame"));
       if (frame === null) throw new Error("The project has no recording yet; add one on the start page.");
       const own = frame;
       await app.loadFrame(own);
@@ -143,6 +138,18 @@ export function mount(root, app, until) {
     if (beside !== null) app.go(makeHash(app.state.project.name, "alignment", beside));
   }
 
+  /** What is not kept stays on the other frames of the recording; in another one it would be lost. */
+  async function openFrame(/** @type {number | null} */ wanted) {
+    if (wanted === frame) return;
+    const isSame = wanted !== null && app.state.timeline?.places.has(wanted);
+    if (!isSame && hasUnsaved() && !(await confirm("Another recording", NOT_KEPT, "Discard it", "danger"))) {
+      if (frame !== null) app.stay(frame);
+      return;
+    }
+    frame = wanted;
+    void load();
+  }
+
   /** Says why an image could not be loaded. */
   async function explain(/** @type {string} */ url) {
     try {
@@ -151,18 +158,6 @@ export function mount(root, app, until) {
     } catch (error) {
       fail(error);
     }
-  }
-
-  const firstFrame = (/** @type {Record<string, string>} */ of = {}) =>
-    app.api.get(withQuery(app.path("first-frame"), of));
-
-  async function openRecording() {
-    if (hasUnsaved() && !(await confirm("Another recording", NOT_KEPT, "Discard it", "danger"))) {
-      picture.chosen.value = String(known?.recording);
-      return;
-    }
-    const first = await firstFrame({ recording: picture.chosen.value });
-    if (first !== null) app.go(makeHash(app.state.project.name, "alignment", first));
   }
 
   /**
@@ -249,11 +244,7 @@ export function mount(root, app, until) {
 
   void load();
   return {
-    route(/** @type {Route} */ route) {
-      if (route.frame === frame) return;
-      frame = route.frame;
-      void load();
-    },
+    route: (/** @type {Route} */ route) => void openFrame(route.frame),
     unsaved: () => (hasUnsaved() ? { text: NOT_KEPT, retry: keepAll, action: "Keep and continue", discard } : null),
   };
 }

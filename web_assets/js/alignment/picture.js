@@ -2,7 +2,7 @@
 
 import { project } from "../camera.js";
 import { h } from "../dom.js";
-import { checkbox, errorBox, select, showProblem } from "../forms.js";
+import { checkbox, errorBox, showProblem } from "../forms.js";
 import { aboutAxis, add, dot, IDENTITY, length, scale } from "../rotation.js";
 import { horizon, levelLines, quantile, RAD } from "./level.js";
 
@@ -10,14 +10,8 @@ const [LEAST_ZOOM, MOST_ZOOM] = [1, 20];
 
 /** @typedef {{ image: string, camera: Camera, points: Vector[], up: Vector | null, isFirm: boolean }} Shown */
 
-/**
- * The panel of the picture: which recording it shows, and how.
- *
- * @param {Api.ProjectInfo["recordings"]} recordings
- * @param {{ onRecording: () => unknown, onMissing: (url: string) => unknown }} options
- *     `onRecording`: another recording was chosen; `onMissing`: its image could not be loaded.
- */
-export function createPicture(recordings, { onRecording, onMissing }) {
+/** The panel of the picture. `onMissing`: its image could not be loaded. */
+export function createPicture(/** @type {{ onMissing: (url: string) => unknown }} */ { onMissing }) {
   const canvas = h("canvas", { "data-testid": "alignment-picture", "aria-label": "The cloud over the image" });
   const host = h("div.picture", canvas);
   const image = new Image();
@@ -25,10 +19,6 @@ export function createPicture(recordings, { onRecording, onMissing }) {
   let shown = null;
   let [zoom, left, top, pending] = [1, 0, 0, 0];
   const problem = errorBox(null, "alignment-problem");
-  const chosen = select(
-    recordings.map(({ id, name }) => [String(id), name]),
-    { "aria-label": "Recording", "data-testid": "alignment-recording", onchange: onRecording },
-  );
   const points = checkbox("show-points", true, { onchange: draw });
   const level = checkbox("show-level", true, { onchange: draw });
   const size = h("input", { type: "range", min: 1, max: 8, step: 0.5, value: "2", oninput: draw });
@@ -96,7 +86,6 @@ export function createPicture(recordings, { onRecording, onMissing }) {
   const header = h(
     "header",
     h("h1.ellipsis", "Cloud over image"),
-    chosen,
     h("span.grow"),
     h("label.row", points, "points"),
     h("label.row", { title: "Size of the points" }, size),
@@ -106,7 +95,6 @@ export function createPicture(recordings, { onRecording, onMissing }) {
   return {
     root: h("section.panel", header, problem, host, h("footer.help", help)),
     host,
-    chosen,
     set(/** @type {Shown} */ next) {
       shown = next;
       if (!image.src.endsWith(next.image)) image.src = next.image;

@@ -135,6 +135,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   const fields = createFields(parts.fields, desk, {
     classes: () => app.state.project.classes,
     up: () => app.state.frame?.up ?? null,
+    hint: () => teach.hint(),
   });
   const attributes = createAttributes(fields.attributes, app, {
     shown: () => desk.shown,
@@ -245,6 +246,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     if (opening.loading) return;
     image.show();
     boxList.show();
+    fields.show();
     showActions();
     scene.show();
   }

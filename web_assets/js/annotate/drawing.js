@@ -7,16 +7,25 @@ import { jumpText } from "../heading_mark.js";
 /** Characters of the values at a box on the image. */
 const MOST_VALUES = 40;
 
-/** A short name for a label: its class with its track id, or with the beginning of its uid. */
-export function shortName(/** @type {PageLabel} */ label) {
-  const id = label.track_id !== null ? `#${label.track_id}` : label.isNew ? "new" : label.uid.slice(0, 4);
-  return `${label.label} ${id}`;
+/**
+ * A short name for a label: its class with its track id; without a track, the class alone, with a number if the frame
+ * has several such labels.
+ *
+ * @param {PageLabel} label
+ * @param {PageLabel[]} all of its frame, in the order of their list.
+ */
+export function shortName(label, all) {
+  if (label.track_id !== null) return `${label.label} #${label.track_id}`;
+  if (label.isNew) return `${label.label} new`;
+  const alike = all.filter((one) => one.track_id === null && one.label === label.label && !one.isNew);
+  const at = alike.findIndex(({ uid }) => uid === label.uid);
+  return at < 0 || alike.length < 2 ? label.label : `${label.label} (${at + 1})`;
 }
 
 /** What is written at the selected box: also its state, and the values of its attributes as far as they are short. */
-function selectedTag(/** @type {PageLabel} */ label, /** @type {string} */ values) {
+function selectedTag(/** @type {PageLabel} */ label, /** @type {string} */ name, /** @type {string} */ values) {
   const shown = values.length > MOST_VALUES ? `${values.slice(0, MOST_VALUES - 1)}…` : values;
-  return [shortName(label), label.isNew ? "" : label.state, shown].filter(Boolean).join(" · ");
+  return [name, label.isNew ? "" : label.state, shown].filter(Boolean).join(" · ");
 }
 
 /**
@@ -24,14 +33,15 @@ function selectedTag(/** @type {PageLabel} */ label, /** @type {string} */ value
  *
  * @param {Camera} camera
  * @param {PageLabel} label
- * @param {{ selected: boolean, box: Box3D | null, color?: string, values?: string }} shown values: of its attributes.
+ * @param {{ name: string, selected: boolean, box: Box3D | null, color?: string, values?: string }} shown values: of
+ *     its attributes.
  * @returns {Overlay}
  */
-export function imageOverlay(camera, label, { selected, box, color = STATE_COLORS[label.state], values = "" }) {
+export function imageOverlay(camera, label, { name, selected, box, color = STATE_COLORS[label.state], values = "" }) {
   const segments = box ? outline(camera, box) : label.outline;
   const seen = box ?? label.box;
   const jump = jumpText({ ...label, box: seen });
-  const tag = [selected ? selectedTag(label, values) : shortName(label), jump].filter(Boolean).join(" · ");
+  const tag = [selected ? selectedTag(label, name, values) : name, jump].filter(Boolean).join(" · ");
   const heading = imageHeading(camera, seen);
   return {
     id: label.uid,

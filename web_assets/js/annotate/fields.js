@@ -47,7 +47,7 @@ const NUMBERS = {
 export function createFields(
   /** @type {HTMLElement} */ host,
   /** @type {Desk} */ desk,
-  /** @type {{ classes: () => string[], up: () => Vector | null }} */ { classes, up },
+  /** @type {{ classes: () => string[], up: () => Vector | null, hint: () => string }} */ { classes, up, hint },
 ) {
   /** @type {Record<string, HTMLInputElement>} */
   const inputs = {};
@@ -63,7 +63,7 @@ export function createFields(
   const problem = h("div.error-box", { role: "alert", hidden: true, "data-testid": "not-saved" });
   const attributes = h("fieldset.wide", { hidden: true, "data-testid": "attributes" });
   const form = h("form.box-fields", { "data-testid": "fields" });
-  const advice = h("p");
+  const advice = h("p", { "data-testid": "box-advice" });
   const nothing = h("div.empty", advice);
   host.replaceChildren(h("header", title, h("span.grow"), chip), problem, form, nothing);
 
@@ -196,9 +196,12 @@ export function createFields(
     nothing.hidden = Boolean(label);
     title.textContent = label ? label.label : "Box";
     showProblem();
-    advice.textContent = desk.labels().length
-      ? "No box is selected. Press Tab for the next one, or click a box on the image or in the 3D view."
-      : "No box is here yet. Drag one around an object on the image, and take it with Space.";
+    // where something is drawn or dashed already, what to do with that comes first
+    advice.textContent =
+      hint() ||
+      (desk.labels().length
+        ? "No box is selected. Press Tab for the next one, or click a box on the image or in the 3D view."
+        : "No box is here yet. Drag one around an object on the image, and take it with Space.");
     if (!label) return;
     const state = desk.hasDraft ? "not saved" : label.isNew ? "new" : label.state;
     chip.textContent = state;

@@ -6,6 +6,7 @@
 import { trackColor } from "../colors.js";
 import { button, count, h, iconButton, patch } from "../dom.js";
 import { currentFrame } from "../frame_state.js";
+import { frameName } from "../timeline/reading.js";
 
 /** Numbers of the runs that the operator has closed. */
 const closed = new Set();
@@ -101,7 +102,7 @@ export function createFollow(host, app, desk, { open, onFirst }) {
     patch(
       list,
       run.message ? h("li.bad", run.message) : null,
-      run.tracks.map((track) => trackRow(track, reached(present, track), open)),
+      run.tracks.map((track) => trackRow(app.state, track, reached(present, track), open)),
     );
   }
 
@@ -162,11 +163,12 @@ function reached(/** @type {Api.FollowRunJson} */ run, /** @type {Api.FollowedTr
 }
 
 /**
+ * @param {State} state
  * @param {Api.FollowedTrack} track
  * @param {string} end how far it was followed.
  * @param {(target: Target) => unknown} open
  */
-function trackRow(track, end, open) {
+function trackRow(state, track, end, open) {
   const name = track.track_id === null ? track.label : `Track ${track.track_id} (${track.label})`;
   const left = track.doubtful > 0 ? `, ${count(track.doubtful, "doubtful frame")} left out` : "";
   const text = h("span.grow", `${name}: ${count(track.boxes, "box", "boxes")}${left}${end}`);
@@ -179,12 +181,16 @@ function trackRow(track, end, open) {
     { "data-testid": "followed" },
     text,
     ...track.stops.map((at) =>
-      button([h("b", `${at.key} →`), ` ${at.reason}`], () => open({ frame: at.frame_id, uid: null }), {
-        class: "stop",
-        title: "Go to this frame and correct or draw the box; then follow it from there",
-        "data-testid": "follow-go",
-        "data-frame": String(at.frame_id),
-      }),
+      button(
+        [h("b", `${frameName(state, at.frame_id, at.key)} →`), ` ${at.reason}`],
+        () => open({ frame: at.frame_id, uid: null }),
+        {
+          class: "stop",
+          title: `Go to this frame (${at.key}) and correct or draw the box; then follow it from there`,
+          "data-testid": "follow-go",
+          "data-frame": String(at.frame_id),
+        },
+      ),
     ),
   );
 }

@@ -10,7 +10,7 @@ import { button, h, patch } from "../dom.js";
 import { createEditor } from "../editor2d/editor.js";
 import { makeHash } from "../router.js";
 import { createLoader } from "../timeline/loader.js";
-import { imageOverlay } from "./drawing.js";
+import { imageOverlay, shortName } from "./drawing.js";
 
 /** A shorter drag draws no box, CSS pixels. */
 const LEAST_DRAG = 8;
@@ -109,11 +109,13 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     void editor.setPicture(url, width, height);
     hint.textContent = noteOf(frame);
     const selected = desk.shown;
-    const others = desk
-      .labels()
-      .filter((label) => label.uid !== selected?.uid && (withRejected.checked || label.state !== "rejected"));
+    const all = desk.labels();
+    const others = all.filter(
+      (label) => label.uid !== selected?.uid && (withRejected.checked || label.state !== "rejected"),
+    );
     const overlays = others.map((label) =>
       imageOverlay(camera, label, {
+        name: shortName(label, all),
         selected: false,
         box: label.isNew || desk.isDraft(label.uid) ? desk.seen(label).box : null,
         ...colorOf(label),
@@ -122,7 +124,13 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     if (selected) {
       const values = valuesText(app, selected);
       overlays.push(
-        imageOverlay(camera, selected, { selected: true, box: selected.box, values, ...colorOf(selected) }),
+        imageOverlay(camera, selected, {
+          name: shortName(selected, all),
+          selected: true,
+          box: selected.box,
+          values,
+          ...colorOf(selected),
+        }),
       );
     }
     editor.setOverlays([...overlays, ...teach().overlays()]);

@@ -195,7 +195,7 @@ export function createMap(host, app, desk, { onPlace, onOpen, onClose }) {
           "stroke-dasharray": label.isNew ? "5 3" : "none",
         }),
         s("line", { x1: from[0], y1: from[1], x2: to[0], y2: to[1], stroke: color }),
-        s("title", shortName(label)),
+        s("title", shortName(label, desk.labels())),
       );
       if (isSelected && !app.state.frame?.frame.finalised)
         group.append(s("circle.handle", { cx: handle[0], cy: handle[1], r: 6, "data-testid": "map-handle" }));

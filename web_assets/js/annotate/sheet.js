@@ -10,6 +10,7 @@ import { openDialog } from "../dialogs.js";
 import { button, count, h, patch } from "../dom.js";
 import { isAborted } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
+import { frameName } from "../timeline/reading.js";
 
 const HELP =
   "Top, front and right side of each box; the front is orange. Click on the wrong ones; they stay proposals. " +
@@ -92,14 +93,15 @@ export function createSheet(app, { desk, queue, preload, open, next, isFollowed 
     const note = h("p.muted", { role: "status", "data-testid": "sheet-note" });
 
     function tile(/** @type {Api.TrackBox} */ box) {
+      const name = frameName(app.state, box.frame, box.key);
       return button(
-        [h("img", { alt: "", width: WIDTH, height: HEIGHT, decoding: "async" }), h("span.ellipsis", box.key)],
+        [h("img", { alt: "", width: WIDTH, height: HEIGHT, decoding: "async" }), h("span.ellipsis", name)],
         (event) => (event.ctrlKey || event.metaKey ? correct(box) : toggle(box.uid, event.shiftKey)),
         {
           class: `tile state-${box.state}`,
           disabled: !isOpen(box),
           "aria-pressed": isOpen(box) ? "false" : null,
-          "aria-label": `Frame ${box.key}, ${box.state}`,
+          "aria-label": `Frame ${name}, ${box.state}`,
           title: isOpen(box)
             ? "Click: it is wrong. Shift+click: all from here are. Ctrl+click: accept those before it, and open it"
             : `${box.state} already`,

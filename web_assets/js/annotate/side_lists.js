@@ -156,7 +156,7 @@ function queueRow(
   /** @type {(target: Target) => unknown} */ open,
 ) {
   const isOurs = item.sources.every((name) => name === OWN);
-  const place = `${recordings.get(item.recording) ?? ""}, frame ${item.key}`;
+  const place = `${recordings.get(item.recording) ?? ""}, frame ${item.number}`;
   return h(
     "li",
     { "data-key": keyOf(item) },
@@ -172,7 +172,7 @@ function queueRow(
       {
         class: isDone ? "quiet row-button done" : "quiet row-button",
         "aria-current": isCurrent ? "true" : null,
-        title: `${isDone ? "reviewed: " : ""}${item.label ?? "Nothing is drawn yet"}, ${place}${isOurs ? "" : `, seen by ${item.sources.join(", ")}`}`,
+        title: `${isDone ? "reviewed: " : ""}${item.label ?? "Nothing is drawn yet"}, ${place} (${item.key})${isOurs ? "" : `, seen by ${item.sources.join(", ")}`}`,
         "data-testid": isDone ? "queue-done" : "queue-item",
         "data-uid": item.uid,
       },
@@ -280,7 +280,11 @@ function boxRow(app, label, desk, picture, onOpen) {
     button(
       [
         h("span", { class: `dot state-${label.state}`, "aria-hidden": "true" }),
-        h("span", { class: label.better_in === null ? "ellipsis grow" : "muted ellipsis grow" }, shortName(label)),
+        h(
+          "span",
+          { class: label.better_in === null ? "ellipsis grow" : "muted ellipsis grow" },
+          shortName(label, desk.labels()),
+        ),
         headingMark(boxAxis(box, 0), app.state.frame?.up ?? null, jumpText({ ...label, box })),
         h("span", { class: problem ? "bad" : `state-${label.state}` }, state),
         picture !== null &&

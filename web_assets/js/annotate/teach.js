@@ -265,7 +265,10 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
   }
 
   function hint() {
-    if (!isOn) return "";
+    if (!isOn) {
+      const isEmpty = desk.labels().length === 0 && guesses().length > 0;
+      return isEmpty ? "Click a dashed box to get its 3D box. Or drag one around another object." : "";
+    }
     return hintFor({
       draft: work.draft,
       isReadonly: work.isReadonly,

@@ -46,11 +46,6 @@ export function createViewsPane(app, { onBox, onClear, onAcceptAll, onKind, newL
   const messages = [0, 1].map((step) =>
     h("p.views-message", { role: "status", "data-testid": step ? "views-message-2" : "views-message" }),
   );
-  const accept = button(["Accept ", h("kbd", "Space")], () => onAcceptAll(), {
-    class: "primary",
-    hidden: true,
-    "data-testid": "accept-all",
-  });
   const source = h("p.muted.views-source", { role: "status", "data-testid": "views-source" });
   const kinds = KINDS.map(([kind, text, title]) =>
     button(text, () => onKind(kind), { role: "radio", title, "aria-checked": "false", "data-testid": `kind-${kind}` }),
@@ -65,8 +60,6 @@ export function createViewsPane(app, { onBox, onClear, onAcceptAll, onKind, newL
       "header",
       h("h2", "Pseudo-views"),
       h("div.segments", { role: "radiogroup", "aria-label": "What boxes enclose" }, kinds),
-      h("span.grow"),
-      accept,
     ),
     h("div.pairs", pairs),
     source,
@@ -94,8 +87,6 @@ export function createViewsPane(app, { onBox, onClear, onAcceptAll, onKind, newL
   /** @param {Draft | null} draft the current object. */
   function show(draft) {
     const views = draft?.steps.flatMap((step) => step.views) ?? [];
-    const canAccept = draft && !draft.isLoading && draft.suggestions.some(Boolean);
-    accept.hidden = !(canAccept && filledBoxes(draft).every(Boolean));
     source.textContent = source.title = sourceOf(draft);
     pairs.forEach((pair, step) => {
       const text = viewsMessage(draft, step);

@@ -34,7 +34,10 @@ export function mount(root, app, until) {
 }
 
 async function begin(/** @type {ModeApp} */ app, /** @type {HTMLElement} */ body, /** @type {AbortSignal} */ until) {
-  const formats = await app.api.get("/api/export-formats");
+  const [formats, { material }] = await Promise.all([
+    app.api.get("/api/export-formats"),
+    app.api.get(app.path("models")),
+  ]);
   if (until.aborted) return;
   const { classes, recordings } = app.state.project;
   const states = STATES.map(([value, , checked]) => checkbox(`export-state-${value}`, checked, { value }));
@@ -125,6 +128,7 @@ async function begin(/** @type {ModeApp} */ app, /** @type {HTMLElement} */ body
     division.hidden = !divide.checked;
     const chosen = sum((i) => states[i].checked);
     empty.hidden = sum((i) => STATES[i][0] !== "rejected") > 0;
+    form.hidden = sum(() => true) + material.image + material.view === 0;
     const hasNone = chosen === 0 && !isFlat;
     note.textContent = hasNone
       ? "No boxes are in the chosen states."

@@ -56,6 +56,16 @@ export function readTimeline(/** @type {App} */ app) {
     events.on(type, readSoon);
 }
 
+/** What a frame is called: its number in the open recording, as in the top bar; its key if it is of another one. */
+export const frameName = (
+  /** @type {State} */ { timeline },
+  /** @type {number} */ frame,
+  /** @type {string} */ key,
+) => {
+  const place = timeline?.places.get(frame);
+  return place === undefined ? key : String(place + 1);
+};
+
 /** The place of the open frame, also of one that cannot be read; -1 if it is not known. */
 export const placeNow = (/** @type {State} */ { timeline, frame, route }) =>
   timeline?.places.get(frame?.frame.id ?? route.frame ?? -1) ?? -1;

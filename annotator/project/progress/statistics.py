@@ -5,21 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import Connection, FromClause, Select, distinct, func, select
+from sqlalchemy import Connection, FromClause, Select, distinct, func, select, union
 
 from annotator.project.classes.attributes import Attribute
 from annotator.project.classes.counts import counts_with_defaults
 from annotator.project.database.schema import (
+    BOTH_LABELS,
     AnyRow,
     events,
     frame_results,
     frames,
     image_labels,
-    labels,
     models,
     recordings,
     runs,
     view_labels,
+)
+from annotator.project.database.schema import (
+    own_labels as labels,
 )
 from annotator.project.database.store import Store
 from annotator.project.jobs import Status, latest_results
@@ -91,6 +94,7 @@ class Statistics(Review):
 def read_statistics(store: Store, reader: ReviewReader, attributes: Sequence[Attribute]) -> Statistics:
     """Counts everything, within one transaction; the reader keeps what takes long to compute."""
     present = select(func.count()).where(frames.c.position.is_not(None))
+    in_frames = [select(of.c.frame_id) for of in BOTH_LABELS]
     proposed = labels.c.state == ReviewState.PROPOSED.value
     failed = (frame_results.c.status == Status.FAILED.value) & frame_results.c.id.in_(latest_results())
     failed &= frame_results.c.frame_id.in_(select(frames.c.id).where(KEPT))
@@ -100,7 +104,7 @@ def read_statistics(store: Store, reader: ReviewReader, attributes: Sequence[Att
             recordings=_number(connection, select(func.count()).where(recordings.c.removed_ns.is_(None))),
             frames=_number(connection, present),
             frames_finalised=_number(connection, present.where(frames.c.finalised.is_(True))),
-            frames_with_labels=_number(connection, select(func.count(distinct(labels.c.frame_id)))),
+            frames_with_labels=_number(connection, select(func.count()).select_from(union(*in_frames).subquery())),
             frames_with_proposals=_number(connection, select(func.count(distinct(labels.c.frame_id))).where(proposed)),
             frames_failed=_number(connection, select(func.count()).where(failed)),
             labels=_label_counts(connection),
@@ -125,10 +129,10 @@ def _rows(connection: Connection, table: FromClause) -> int:
 
 
 def _label_counts(connection: Connection) -> LabelCounts:
-    columns = [labels.c[name] for name in ("label", "state", "source", "box_kind")]
-    rows: Sequence[AnyRow] = connection.execute(
-        select(*columns, func.count()).group_by(*columns).order_by(labels.c.label)
-    ).all()
+    rows = list[AnyRow]()
+    for of in BOTH_LABELS:
+        columns = [of.c[name] for name in ("label", "state", "source", "box_kind")]
+        rows += connection.execute(select(*columns, func.count()).group_by(*columns).order_by(of.c.label))
     by_class, states = dict[str, int](), dict[str, dict[ReviewState, int]]()
     of_state, of_source, of_kind = dict.fromkeys(ReviewState, 0), dict.fromkeys(Source, 0), dict.fromkeys(BoxKind, 0)
     for name, state, source, kind, number in rows:
