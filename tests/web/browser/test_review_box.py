@@ -228,8 +228,17 @@ def test_boxes_are_drawn_by_a_drag_fitted_again_and_copied_from_the_previous_fra
         "note": "fewer than 5 points lie in this box",
         "too_few_points": True,
     }
-    desk.page.route("**/fit", lambda route: route.fulfill(json=sparse))
-    drag(desk.page, (x, y), (x + 30, y + 40))
+    held: list[Any] = []
+    page.route("**/fit", lambda route: held.append(route))
+    with page.expect_request("**/fit"):
+        drag(page, (x, y), (x + 30, y + 40))
+    # meanwhile, Space does not take the box that was selected before
+    before = desk.uid
+    page.keyboard.press("Space")
+    expect(note).to_have_text("Fitting a 3D box …")
+    assert desk.uid == before
+    assert desk.label.state is ReviewState.PROPOSED
+    held[0].fulfill(json=sparse)
     toast = desk.page.get_by_test_id("toast-warn").last
     expect(toast).to_contain_text("Fewer than 5 points lie in this box. Label the object")
     expect(toast).to_contain_text("copy its box here")

@@ -81,6 +81,8 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
   async function decide(/** @type {"accept" | "reject" | "delete"} */ kind) {
     if (opening.loading || !app.state.frame) return;
     if (kind === "accept" && teach.accept()) return;
+    // it means the box that is being drawn or found, and not the one that was selected before
+    if (kind === "accept" && image.isBusy) return;
     if (kind === "delete" && teach.removeDrawn()) return;
     const label = desk.shown;
     if (!label) return kind === "accept" ? goOn() : undefined;
@@ -185,7 +187,8 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
         too_few_points,
         ...facts
       } = await app.api.post(app.path("frames", id, "fit"), { image_box: box });
-      if (app.state.frame?.frame.id !== id || !root.isConnected) return;
+      if (app.state.frame?.frame.id !== id || !root.isConnected)
+        return app.toast("The frame was left before a 3D box was found for what was drawn. Draw it again.", "warn");
       const why = sentence(note ?? "no object was found");
       if (fitted) desk.add({ ...facts, box: fitted, label: box.label, image_box: box });
       if (too_few_points) app.toast(`${why}. ${fitted ? CHECK_PLACED : LABEL_ELSEWHERE}`, "warn");
