@@ -357,6 +357,9 @@ def test_one_drag_and_space_make_a_label_and_detected_image_boxes_are_accepted(
     suggested = page.get_by_test_id("image-editor").locator(".box.suggested")
     expect(suggested).to_have_count(3)
     expect(page.get_by_test_id("box-advice")).to_contain_text("Select a box, or draw one")
+    page.keyboard.press("d")
+    expect(page.get_by_test_id("box-advice")).to_contain_text("Click a dashed box")
+    page.keyboard.press("d")
     with page.expect_response(answers_drag(0)):
         suggested.first.click(force=True)
     expect(dashed).to_have_count(4)
