@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from browser_page import FRAMES, Desk, middle, refuse
+from browser_page import FRAMES, Desk, middle, refuse, until
 
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.project.classes import edit
@@ -326,8 +326,12 @@ def test_a_click_counts_though_the_page_is_drawn_again_while_the_button_is_down(
     elsewhere = project.frames.get(project.labels.get(there).frame_id)
     body = {"revision": elsewhere.revision, "changes": [{"kind": "track", "uid": there, "track_id": 7}]}
     assert desk.live.client.post(f"{desk.api}/frames/{elsewhere.id}/changes", json=body).status_code == 200
+    # the small pictures of the list come while the button is down
+    held: list[Route] = []
+    page.route("**/sheet", lambda route: held.append(route))
     page.reload()
     desk.settled()
+    until(page, lambda: held)
 
     def press(target: Locator) -> None:
         """Clicks slowly: what was typed is stored, and another operator's change is shown, before the release."""
@@ -335,6 +339,10 @@ def test_a_click_counts_though_the_page_is_drawn_again_while_the_button_is_down(
         page.mouse.move(*middle(target))
         page.mouse.down()
         desk.settled()
+        if held:
+            held.pop().continue_()
+            page.unroute("**/sheet")
+            page.locator("img.small-views").first.wait_for()
         rain = not project.frames.attributes().get(desk.frame, {}).get("rain", False)
         body = {"revision": project.frames.get(desk.frame).revision, "uid": None, "values": {"rain": rain}}
         assert desk.live.client.post(f"{desk.api}/frames/{desk.frame}/attributes", json=body).status_code == 200
