@@ -21,8 +21,8 @@ A dataset that annotator writes opens with the nuscenes-devkit:
     frames.csv                       the origin of each frame
 
 Scenes are recordings, instances are tracks. Ego and LiDAR frame are the same: the level frame at the camera (x ahead, y
-left, z against gravity). The global frame is that of the recording's map coordinates; without such, it is the ego
-frame, because the camera's motion is unknown.
+left, z against gravity). The global frame is the world of the recording's poses or map coordinates; without such, it is
+the ego frame, because the camera's motion is unknown.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ def read_nuscenes(path: Path, on_fault: reading.OnFault = reading.raise_fault) -
                 # an export has one camera, which has all boxes
                 if stem in names.frames or (len(K) and is_seen(box, K, row.width, row.height)):
                     found.append(replace(truth, box=box))
-        # without map coordinates, the camera is the origin
+        # without a pose, the camera is the origin
         is_placed = stem in names.frames and T_global_camera.translation.any()
         pose = in_world(T_global_camera) if is_placed else None
         add_once(frames, folder / "sample_data.json", names.known(stem), LabelledFrame(found, pose))

@@ -81,7 +81,7 @@ class Scene:
         }
         transforms = None
         if frame.T_world_camera is not None:
-            # the pose of the base in map coordinates
+            # the pose of the base in the world
             pose = doc.transform_values(frame.T_world_camera * T_BASE_CAMERA.inv())
             transforms = {PLACE: {"src": BASE, "dst": WORLD, "transform_src_to_dst": pose}}
             self._is_placed = True

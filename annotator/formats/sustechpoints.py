@@ -195,7 +195,7 @@ def _camera(file: Path) -> SceneCamera:
 
 
 def _place(label_file: Path) -> RigidTransform | None:
-    """Returns the pose of a cloud in map coordinates; None without a file of it."""
+    """Returns the pose of a cloud in the world; None without a file of it."""
     file = spelled(label_file.parent.parent / POSES, label_file.name)
     if not file.is_file():
         return None
