@@ -336,6 +336,7 @@ export function createDesk(/** @type {App} */ app) {
         heading_beside: null,
         seen_by: [],
         better_in: null,
+        still: false,
       };
       added.set(uid, { label, image_box, found: fit.box, actions: 1, problem: null, sending: null });
       notify("selection");
