@@ -248,7 +248,7 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     },
     /** Ends drawing; false if nothing was to be drawn. */
     cancel() {
-      if (editor.isDragging && editor.cancel()) return true;
+      if (editor.cancel()) return true;
       if (wanted === null || isFitting) return false;
       draw(null);
       return true;

@@ -70,7 +70,6 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
   const views = createViewsPane(app, {
     onBox: (...change) => objects.setViewBox(...change),
     onClear: (...change) => objects.clearViewBox(...change),
-    onAcceptAll: accept,
     onKind: setKind,
     newLabel: () => work.draft?.item.image_box.label ?? "",
   });
@@ -404,7 +403,7 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
     },
     /** Cancels a drag on the views, or else closes the object; false if there is neither. */
     cancel() {
-      if (views.editors.some((editor) => editor.isDragging && editor.cancel())) return true;
+      if (views.editors.some((editor) => editor.cancel())) return true;
       if (!work.draft || work.draft.item.uid || work.draft.item.found) return false;
       close();
       show();
