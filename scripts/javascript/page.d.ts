@@ -171,7 +171,8 @@ type RequestOptions = { signal?: AbortSignal };
 type EffortCounter = ReturnType<typeof import("../../web_assets/js/effort.js").createEffort>;
 type Events = ReturnType<typeof import("../../web_assets/js/events.js").createEvents>;
 type Keys = ReturnType<typeof import("../../web_assets/js/keys.js").createKeys>;
-type KeyHandler = (event: KeyboardEvent, key: string) => unknown;
+/** `key`: its name as in the table; "" for a button. */
+type KeyHandler = (key: string) => unknown;
 type Frames = ReturnType<typeof import("../../web_assets/js/frame_state.js").createFrameState>;
 type Viewport = ReturnType<typeof import("../../web_assets/js/viewport.js").createViewport>;
 type ViewportBar = ReturnType<typeof import("../../web_assets/js/viewport_bar.js").createViewportBar>;
@@ -483,6 +484,34 @@ type StepLoader = ReturnType<typeof import("../../web_assets/js/annotate/draft.j
 type Suggester = ReturnType<typeof import("../../web_assets/js/annotate/suggestions.js").createSuggester>;
 type WholeBoxes = ReturnType<typeof import("../../web_assets/js/annotate/suggestions.js").createWholeBoxes>;
 type Teach = ReturnType<typeof import("../../web_assets/js/annotate/teach.js").createTeach>;
+
+/** The parts of Annotate, which use each other once all are there; js/annotate/annotate.js makes them. */
+interface Annotate {
+  app: ModeApp;
+  /** The elements of its panels. */
+  parts: ReturnType<typeof import("../../web_assets/js/annotate/annotate.js").layout>;
+  desk: Desk;
+  queue: Queue;
+  opening: Opening;
+  preload: ReturnType<typeof import("../../web_assets/js/annotate/preload.js").createPreload>;
+  areas: ReturnType<typeof import("../../web_assets/js/annotate/areas.js").createAreas>;
+  picker: ReturnType<typeof import("../../web_assets/js/annotate/class_picker.js").createNextClass>;
+  sheet: ReturnType<typeof import("../../web_assets/js/annotate/sheet.js").createSheet>;
+  tracks: ReturnType<typeof import("../../web_assets/js/annotate/tracks.js").createTracks>;
+  follow: ReturnType<typeof import("../../web_assets/js/annotate/follow.js").createFollow>;
+  image: ReturnType<typeof import("../../web_assets/js/annotate/image_panel.js").createImagePanel>;
+  scene: ReturnType<typeof import("../../web_assets/js/annotate/scene.js").createScene>;
+  map: ReturnType<typeof import("../../web_assets/js/annotate/map.js").createMap>;
+  ortho: ReturnType<typeof import("../../web_assets/js/annotate/ortho_views.js").createOrthoViews>;
+  teach: Teach;
+  attributes: ReturnType<typeof import("../../web_assets/js/attributes.js").createAttributes>;
+  commands: ReturnType<typeof import("../../web_assets/js/annotate/commands.js").createCommands>;
+  actions: ReturnType<typeof import("../../web_assets/js/annotate/actions.js").createActions>;
+  /** Shows what is being drawn on the pseudo-views in all parts. */
+  showDrawn(): void;
+  /** Goes to the camera that sees a box of the moment best. */
+  showBest(uid: string): void;
+}
 
 // -- Annotate: boxes
 

@@ -14,6 +14,8 @@ import { listenToPointers } from "../editor2d/pointers.js";
 import { add, cross, dot, length, scale, subtract } from "../rotation.js";
 import { shortName } from "./drawing.js";
 
+/** Whether it is shown in place of the 3D view. */
+const KEPT = "top-view";
 /** The part that is looked at is drawn after so long a rest, ms. */
 const REST_MS = 60;
 /** Rings are this far apart on the screen at least, px. */
@@ -37,14 +39,8 @@ export function mapAxes(/** @type {Vector | null} */ up) {
   return [cross(forward, against), scale(forward, -1), scale(against, -1)];
 }
 
-/**
- * @param {HTMLElement} host
- * @param {ModeApp} app
- * @param {Desk} desk
- * @param {{ onPlace: (point: Vector) => void, onOpen: (uid: string) => void, onClose: () => void }} parts onPlace: called
- *     with a point of the camera frame, above or below which a box is to be placed; onOpen: with a double-clicked box.
- */
-export function createMap(host, app, desk, { onPlace, onOpen, onClose }) {
+export function createMap(/** @type {Annotate} */ at) {
+  const { app, desk, parts } = at;
   const picture = h("img.picture", { alt: "", draggable: "false" });
   const svg = s("svg.shapes", { "aria-hidden": "true" });
   const root = h(
@@ -53,14 +49,24 @@ export function createMap(host, app, desk, { onPlace, onOpen, onClose }) {
     picture,
     svg,
   );
-  host.append(
+  parts.map.append(
     h(
       "header",
       h("h2", "Top view"),
       h("span.muted.ellipsis.grow", "Drag to move, wheel to zoom, click to select or place."),
-      button(["3D view", h("kbd", "M")], onClose, { class: "quiet small", "data-testid": "show-3d" }),
+      button(["3D view", h("kbd", "M")], () => turn(false), { class: "quiet small", "data-testid": "show-3d" }),
     ),
     root,
+  );
+  parts.sceneHead.append(
+    h("h2", "3D view"),
+    at.actions.gizmo,
+    h("span.grow"),
+    button(["Top view", h("kbd", "M")], () => turn(true), {
+      class: "quiet small",
+      title: "A map: click to place a box, drag to move it (M)",
+      "data-testid": "show-map",
+    }),
   );
   /** The plane in pixels of the window: the view of box3d.js. @type {Plane} */
   let plane = { axes: mapAxes(null), origin_m: [0, 0], metres_per_px: 0.1 };
@@ -86,11 +92,7 @@ export function createMap(host, app, desk, { onPlace, onOpen, onClose }) {
 
   async function open(/** @type {Api.FrameJson} */ frame) {
     recording = frame.recording;
-    try {
-      reachM = await app.api.get(app.path("frames", frame.id, "reach"));
-    } catch (error) {
-      app.toast(error);
-    }
+    reachM = await app.api.get(app.path("frames", frame.id, "reach"));
     if (recording !== frame.recording) return;
     fit();
     look();
@@ -256,7 +258,7 @@ export function createMap(host, app, desk, { onPlace, onOpen, onClose }) {
       click() {
         const hit = boxAt(from);
         if (hit) desk.select(hit.uid);
-        else onPlace(pointOf(from));
+        else void at.commands.placeAt(pointOf(from));
       },
     });
   }
@@ -266,7 +268,7 @@ export function createMap(host, app, desk, { onPlace, onOpen, onClose }) {
   desk.onLeave(pointers.cancel);
   root.addEventListener("dblclick", (event) => {
     const hit = boxAt(view.toPicture(pointers.windowPoint(event)));
-    if (hit) onOpen(hit.uid);
+    if (hit) at.showBest(hit.uid);
   });
   const watcher = new ResizeObserver(([{ contentRect }]) => {
     const isFirst = !size.width;
@@ -276,26 +278,34 @@ export function createMap(host, app, desk, { onPlace, onOpen, onClose }) {
   });
   watcher.observe(root);
 
+  /** Shows the map in place of the 3D view, or this one again. */
+  function turn(/** @type {boolean} */ on) {
+    localStorage.setItem(KEPT, String(on));
+    isShown = on;
+    parts.map.hidden = !on;
+    parts.scene.hidden = on;
+    show();
+  }
+
+  /** Another frame, box or selection. */
+  function show() {
+    const frame = app.state.frame?.frame;
+    if (!isShown || !frame) return;
+    if (frame.recording !== recording) void open(frame);
+    else look();
+  }
+
+  turn(localStorage.getItem(KEPT) === "true");
   return {
     get isShown() {
       return isShown;
     },
+    turn,
+    show,
     cancel: pointers.cancel,
     fit() {
       fit();
       look();
-    },
-    /** Shows the map, or hides it. */
-    turn(/** @type {boolean} */ on) {
-      isShown = on;
-      if (on) this.show();
-    },
-    /** Another frame, box or selection. */
-    show() {
-      const frame = app.state.frame?.frame;
-      if (!isShown || !frame) return;
-      if (frame.recording !== recording) void open(frame);
-      else look();
     },
     destroy() {
       clearTimeout(timer);

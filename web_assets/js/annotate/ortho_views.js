@@ -39,12 +39,9 @@ const ALIGNED = Math.cos((0.2 * Math.PI) / 180);
 /** Share of the line of sight that lies in a view on which it can be dragged. */
 const FLAT = 0.7;
 
-export function createOrthoViews(
-  /** @type {HTMLElement} */ host,
-  /** @type {ModeApp} */ app,
-  /** @type {Desk} */ desk,
-  /** @type {ReturnType<typeof import("./preload.js").createPreload>} */ preload,
-) {
+export function createOrthoViews(/** @type {Annotate} */ at) {
+  const { app, desk, preload } = at;
+  const host = at.parts.ortho;
   const panels = NAMES.map((name) => createPanel(name, desk));
   const note = h("p.note", "A box is seen here from above, from the front and from its right.");
   host.append(...panels.map(({ root }) => root), note);
