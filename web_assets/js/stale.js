@@ -16,8 +16,8 @@ const MINE = "#ff5d8f";
  */
 export function askVersion({ theirs, mine }) {
   const authors = [...new Set(theirs.labels.map(({ author }) => author))].filter(Boolean);
-  const onImage = count(theirs.image_boxes?.boxes.length ?? 0, "box", "boxes");
-  const in3D = count(theirs.labels.length, "box", "boxes");
+  const onImage = count(theirs.image_boxes?.boxes.length ?? 0, "box");
+  const in3D = count(theirs.labels.length, "box");
   const by = authors.length ? ` (by ${authors.join(", ")})` : "";
   const counts = `${onImage} on the image, ${in3D} in 3D${by}`;
   return openDialog({
