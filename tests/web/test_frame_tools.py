@@ -78,6 +78,10 @@ def test_undo_stops_a_run_and_takes_back_all_of_it(
     follow(live)
     following_gate.release(2)
     wait_until(lambda: latest(live)["done"] == 2)
+    # one run at a time: boxes that fill a gap are not fitted meanwhile
+    filling = {"operation": {"do": "fill", "from": 1, "to": 3, "refit": True}}
+    refused = live.client.post(f"{ROOM}/recordings/1/tracks/1", json=filling)
+    assert (refused.status_code, "objects are followed; wait" in refused.text) == (400, True), refused.text
     # the run is asked to stop while it waits for a frame, and ends after that frame
     running = live.context.follow_runs._runs[live.context.project("room")]["Ada"]
     threading.Thread(target=lambda: running.stop.wait(PATIENCE_S) and following_gate.release(2)).start()
@@ -106,7 +110,7 @@ def test_what_cannot_be_followed_is_refused(
     assert live.client.post(f"{ROOM}/follow/stop").json() is None
     refused = live.client.post(f"{ROOM}/frames/1/follow", json={"revision": 1, "uid": uid, "direction": "backward"})
     assert refused.status_code == 400
-    assert "is the first of its recording; there is no previous frame" in refused.json()["error"]["message"]
+    assert "this is the first frame of its recording; there is no previous one" in refused.json()["error"]["message"]
     monkeypatch.setattr("annotator.web.routes.tracks.has_view_with_classes", lambda _: True)
     readiness = Readiness("failed", problem="the weights are damaged")
     monkeypatch.setattr(ReadyDetectors, "readiness", lambda *_: readiness)

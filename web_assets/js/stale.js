@@ -21,12 +21,12 @@ export function askVersion({ theirs, mine }) {
   const by = authors.length ? ` (by ${authors.join(", ")})` : "";
   const counts = `${onImage} on the image, ${in3D} in 3D${by}`;
   return openDialog({
-    title: "Another operator has changed this frame",
+    title: "This frame was changed elsewhere",
     testid: "stale-dialog",
     wide: true,
     required: true,
     content: [
-      h("p", "Your last change was made on an older version and is not saved yet. Choose between the two versions."),
+      h("p", "By another operator, or in another tab. Your last change was made on an older version and is not saved yet: choose."),
       h(
         "div.versions",
         version("Saved version", picture(theirs, null), h("p.help", counts)),

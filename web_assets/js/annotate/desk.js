@@ -136,7 +136,7 @@ export function createDesk(/** @type {App} */ app) {
       // if a draft is being sent, the answer to it reports the outcome
       const mustNotify = !drafts.get(gone)?.sending;
       drafts.delete(gone);
-      if (mustNotify) app.toast("Another operator has deleted the box that you were changing.", "warn");
+      if (mustNotify) app.toast("The box that you were changing was deleted elsewhere.", "warn");
     }
     if (uid !== null && !stored()) uid = null;
     notify("frame");

@@ -54,7 +54,7 @@ async function sendAgain(
   const isGone = (/** @type {Change} */ { uid }) => uid !== undefined && !uids.has(uid);
   const present = changes.map((change) => (change.kind === "edit" && isGone(change) ? asNew(change) : change));
   const fitting = present.filter((change) => !isGone(change));
-  if (fitting.length === 0) throw new Error("Another operator has deleted the box.");
+  if (fitting.length === 0) throw new Error("The box was deleted elsewhere.");
   const body = {
     revision: theirs.frame.revision,
     changes: fitting,
