@@ -307,21 +307,33 @@ test("nothing is loaded ahead while a sheet is open", async () => {
   globalThis.Image = class {
     decode = async () => {};
   };
-  const asked = [];
-  const get = async (path) => {
-    asked.push(path);
-    return frameState(1, [], 2);
-  };
-  const app = fakeApp({ get, state: { frame: frameState(1) } });
-  app.frames = createFrameState(app);
-  const preload = createPreload(app, { uid: "now", stored: () => null }, { after: () => item("next", 2) });
+  const { asked, preload, opening, shown } = preloadOf();
   const release = preload.hold();
   await preload.start();
   assert.deepEqual(asked, []);
   release();
   await settled();
-  assert.deepEqual(asked, ["frames/2?best_for=next"]);
+  assert.deepEqual([asked, shown], [["frames/3", "frames/2?best_for=next"], [3]], "the frame beside is the likeliest");
+  asked.length = 0;
+  opening.inQueue = true;
+  await preload.start();
+  assert.deepEqual([asked, shown], [[], [3, 2]], "what is known is not read again");
 });
+
+function preloadOf() {
+  const [asked, shown] = [[], []];
+  const get = async (path) => {
+    asked.push(path);
+    return frameState(1, [], Number(path.match(/\d+/)[0]));
+  };
+  const viewport = { prepare: (frame) => shown.push(frame), idle: async () => {} };
+  const app = { ...fakeApp({ get, state: { frame: frameState(1) } }), viewport };
+  app.frames = createFrameState(app);
+  const opening = { beside: 3, inQueue: false };
+  const desk = { uid: "now", stored: () => null };
+  const preload = createPreload(app, desk, { after: () => item("next", 2) }, opening);
+  return { asked, shown, preload, opening };
+}
 
 test("what is heard of a job is newer than answers about it", async () => {
   const { promise, resolve } = held();

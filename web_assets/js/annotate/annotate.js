@@ -75,7 +75,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   const queueList = createQueueList(parts.queue, app, queue, { open: goInQueue });
   const boxList = createBoxList(parts.boxes, app, desk, () => teach, showBest);
   const picker = createNextClass(parts.classes, app);
-  const preload = createPreload(app, desk, queue);
+  const preload = createPreload(app, desk, queue, opening);
   const sheet = createSheet(app, {
     desk,
     queue,

@@ -23,6 +23,8 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
   const { project } = app.state.route;
   let loading = false;
   let openings = 0;
+  /** In which the operator has stepped last. @type {Direction} */
+  let direction = "next";
   /** The frame that is shown. @type {number | null} */
   let opened = null;
   /** The frame that cannot be read. @type {number | null} */
@@ -81,18 +83,8 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
 
   /** Selects a label of the open frame: this one, or that of this track, or else the most doubtful proposal. */
   function pick(/** @type {string | null} */ uid, /** @type {number | null} */ track = null) {
-    const labels = desk.labels();
-    const chosen =
-      labels.find((label) => label.uid === uid) ??
-      ofTrack(track) ??
-      mostDoubtful(labels.filter(isOpen)) ??
-      labels.find(({ state }) => state !== "rejected");
-    desk.select(chosen?.uid ?? null);
+    desk.select(chosen(desk.labels(), uid, track)?.uid ?? null);
   }
-
-  /** The label of a track in the open frame. */
-  const ofTrack = (/** @type {number | null} */ track) =>
-    desk.labels().find((label) => track !== null && label.track_id === track && label.state !== "rejected");
 
   /** True if a box is in the open frame, whose camera sees it as well as any. */
   const isShown = (/** @type {string | null} */ uid) => desk.stored(uid)?.better_in === null;
@@ -114,6 +106,7 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
 
   /** Opens the next or previous frame in time; while the queue has frames to draw on, its next one. */
   async function step(/** @type {Direction} */ which) {
+    direction = which;
     const useful = which === "next" && queue.order === "teach" ? queue.after(null, opened) : null;
     if (useful) return go(useful, true);
     const next = broken === null ? (app.state.frame?.frame[which] ?? null) : await frameBeside(app, broken, which);
@@ -158,6 +151,10 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
     get opened() {
       return opened;
     },
+    /** The frame that the next step in the same direction opens, or null. */
+    get beside() {
+      return app.state.frame?.frame[direction] ?? null;
+    },
     get broken() {
       return broken;
     },
@@ -174,6 +171,17 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
 /** The track that an address names, or null. */
 export const trackIn = (/** @type {URLSearchParams} */ query) =>
   query.has("track") ? Number(query.get("track")) : null;
+
+/** The label that is selected when a frame opens: this one, or that of this track, or else the most doubtful proposal. */
+export const chosen = (
+  /** @type {PageLabel[]} */ labels,
+  /** @type {string | null} */ uid,
+  /** @type {number | null} */ track = null,
+) =>
+  labels.find((label) => label.uid === uid) ??
+  labels.find((label) => track !== null && label.track_id === track && label.state !== "rejected") ??
+  mostDoubtful(labels.filter(isOpen)) ??
+  labels.find(({ state }) => state !== "rejected");
 
 /** The most doubtful label, of those that the camera shows if there are any. */
 export const mostDoubtful = (/** @type {PageLabel[]} */ labels) =>

@@ -104,6 +104,7 @@ export function createOrthoViews(
       if (!desk.shown) {
         request?.abort();
         fetched = null;
+        void preload.start();
       }
       for (const panel of panels) {
         if (!app.state.frame) panel.clear();
