@@ -62,6 +62,13 @@ export function createFrameState(/** @type {App} */ app) {
       return true;
     },
 
+    /** The newest known state of a frame, which the operator may have left. */
+    async of(/** @type {number} */ id) {
+      const open = state.frame;
+      const path = pathOf(id, null);
+      return open?.frame.id === id ? open : (ahead.get(path) ?? /** @type {FrameState} */ (await app.api.get(path)));
+    },
+
     /** Reads a frame that may be opened next, with the same arguments as `open`. */
     async prepare(
       /** @type {number} */ id,
