@@ -35,10 +35,13 @@ export function createFrameState(/** @type {App} */ app) {
     for (const oldest of [...ahead.keys()].slice(0, -MOST_AHEAD)) ahead.delete(oldest);
   }
 
-  const knownAt = (/** @type {string} */ path) => {
-    const frame = ahead.get(path);
+  /** The state that is kept of a frame, or of that in which a label is seen best; null: none, or an outdated one. */
+  function knownOf(/** @type {number} */ id, /** @type {string | null} */ bestFor) {
+    const [here, best] = [ahead.get(pathOf(id, null)), ahead.get(pathOf(id, bestFor))];
+    const isBest = here?.labels.some(({ uid, better_in }) => uid === bestFor && better_in === null);
+    const frame = best ?? (isBest ? here : null);
     return frame && !isOutdated(frame) ? frame : null;
-  };
+  }
 
   /** Another frame is open; the one before may be opened again. */
   function show(/** @type {FrameState} */ frame) {
@@ -77,7 +80,7 @@ export function createFrameState(/** @type {App} */ app) {
     ) {
       const path = pathOf(id, bestFor);
       /** @type {FrameState} */
-      const frame = knownAt(path) ?? (await app.api.get(path, options));
+      const frame = knownOf(id, bestFor) ?? (await app.api.get(path, options));
       keep(path, frame);
       return frame;
     },
@@ -88,7 +91,7 @@ export function createFrameState(/** @type {App} */ app) {
      */
     async open(/** @type {number} */ id, /** @type {string | null} */ bestFor, /** @type {RequestOptions} */ options) {
       const path = pathOf(id, bestFor);
-      const known = knownAt(path);
+      const known = knownOf(id, bestFor);
       ahead.delete(path);
       if (known && !isSame(known, state.frame)) {
         hasMissed = true;

@@ -44,14 +44,15 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
    * @param {string | null} uid
    * @param {number | null} [track]
    * @param {boolean} [isAsItIs] no other camera of the moment is opened in its place, though it may see the label better.
+   * @param {boolean} [isAtOnce] what is being saved is not waited for, and nothing else is unsaved.
    */
-  async function open(id, uid, track = null, isAsItIs = true) {
+  async function open(id, uid, track = null, isAsItIs = true, isAtOnce = false) {
     openings += 1;
     const own = openings;
     setLoading(true);
     try {
-      if (opened !== id && opened !== null && !(await app.mayLeave())) return false;
-      await desk.flush();
+      if (opened !== id && opened !== null && !isAtOnce && !(await app.mayLeave())) return false;
+      if (!isAtOnce) await desk.flush();
       if (own !== openings) return null;
       // app.state may still have an old state from another mode
       if (opened !== id || !desk.stored(uid)) {
@@ -94,10 +95,11 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
    *
    * @param {Target} options
    * @param {boolean} [isFromQueue] it is the queue's next one, so that the queue goes on from here.
+   * @param {boolean} [isAtOnce] as for `open`.
    */
-  async function go({ frame, uid }, isFromQueue = false) {
+  async function go({ frame, uid }, isFromQueue = false, isAtOnce = false) {
     if (isShown(uid)) desk.select(uid);
-    else if (!(await open(desk.stored(uid)?.better_in ?? frame, uid, null, false))) return;
+    else if (!(await open(desk.stored(uid)?.better_in ?? frame, uid, null, false, isAtOnce))) return;
     // an address without a frame would choose this one again if it cannot be read
     const shown = opened ?? broken;
     if (isFromQueue) sessionStorage.setItem(FROM_QUEUE, `${project}/${shown}`);

@@ -8,6 +8,7 @@ import { button, h, patch } from "../dom.js";
 import { isStale, isTrackTaken } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 import { askVersion } from "../stale.js";
+import { frameName } from "../timeline/reading.js";
 import { naming } from "./items.js";
 
 /**
@@ -85,7 +86,8 @@ export function createSender(app, onWaiting) {
       }
       if (!isStale(error)) throw error;
       const theirs = error.body.state;
-      const chosen = change.mine ? await askVersion({ theirs, mine: change.mine(theirs) }) : null;
+      const name = app.state.frame?.frame.id === frame ? undefined : frameName(app.state, frame, theirs.frame.key);
+      const chosen = change.mine ? await askVersion({ theirs, mine: change.mine(theirs), name }) : null;
       app.frames.take(theirs);
       if (chosen === "theirs") return null;
       if (!change.mine && !(change.isSentAgain && isFirst)) throw error;
