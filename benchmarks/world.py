@@ -41,7 +41,8 @@ from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import ALL, add_recordings
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.tracks.still_objects import find_sightings, make_still, visible
+from annotator.workflows.tracks.operations import StandStill, apply
+from annotator.workflows.tracks.still_objects import find_sightings, visible
 from benchmarks.report import QUIET, Options, Table, chosen, guarded, program, require
 from benchmarks.review_desk import AUTHOR, Thing, TrackKey
 from benchmarks.review_moves import KEY_S, TYPE_S, Bill
@@ -116,7 +117,7 @@ def still_objects(path: Path, folder: Path) -> dict[str, Any]:
             frame, box = seen[0]
             new = NewLabel(key[0], box, track_id=track_id)
             project.labels.create(frame.id, [new], WriteContext(project.frames.get(frame.id).revision, AUTHOR))
-            make_still(project, frame.recording_id, track_id, AUTHOR, frame_id=frame.id)
+            apply(project, frame.recording_id, track_id, StandStill(frame=frame.id), AUTHOR)
         find_sightings(project, first, progress=lambda done, of: QUIET.print(f"{done} of {of} moments"))
         ious = [
             best_of(project, track_id, seen, moment)
@@ -193,7 +194,7 @@ class Traveller(Operator):
         bill.act("accept", KEY_S)
         bill.act("number", TYPE_S)
         bill.act("stands still", KEY_S)
-        make_still(project, frame.recording_id, track_id, AUTHOR, frame_id=frame.id)
+        apply(project, frame.recording_id, track_id, StandStill(frame=frame.id), AUTHOR)
 
     def _review_frame(self, frame: StoredFrame) -> None:
         """Corrects what stands still where the frame shows that its box is not right, draws, and looks where else."""
