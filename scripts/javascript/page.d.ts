@@ -405,32 +405,15 @@ type Item = {
   found: string | null;
 };
 
-/**
- * The object that is being drawn. `kept` marks suggestions that are the operator's own boxes from former views.
- * `changes` counts the operator's changes.
- */
+/** The object that is being drawn. `changes` counts the operator's changes. */
 type Draft = {
   item: Item;
   /** Its frame's id. */
   frame: number;
-  steps: { views: Api.ViewJson[] }[];
-  suggestions: ViewBox[];
-  kept: boolean[];
-  /** Outline on the image of the 3D box so far. */
-  outline: Line[] | null;
-  /** The reason why there are no further views. */
-  stop: string | null;
+  /** Its views with suggestions, as the server answered last. */
+  answer: Omit<Api.StepsOut, "box" | "points">;
   isLoading: boolean;
   changes: number;
-  detector: Api.StepsOut["detector"];
-  /** The name of the detector that suggests boxes. */
-  measuredBy: string | null;
-  /** What a label records of this detector. */
-  suggestion: Api.Suggestion | null;
-  /** The reason why the detector could not be loaded. */
-  problem: string | null;
-  /** The reason why it suggests nothing. */
-  note: string | null;
   /** Whole boxes that are offered for the object as it was after so many changes, which one is shown, since when. */
   whole: { boxes: Api.WholeBoxJson[]; shown: number; changes: number; since: number } | null;
 };
@@ -449,8 +432,6 @@ interface Work {
   notSaved: Item[];
   /** The boxes that the image detector found. */
   detections: Box2D[];
-  /** Resolves when the current object's views are loaded. */
-  loaded: Promise<void>;
   readonly isReadonly: boolean;
   /** What the boxes enclose. */
   readonly kind: Api.BoxKind;
@@ -463,8 +444,6 @@ type FrameChange = {
   /** The operator's version, for the question in stale.js. */
   mine: (state: FrameState) => Mine;
   done?: (answer: Api.SaveOut) => void;
-  /** The change is not sent before this resolves. */
-  after?: Promise<unknown>;
   item?: Item;
   /** Gives its boxes the new names of classes. */
   relabel?: (named: Naming) => void;
@@ -473,15 +452,9 @@ type FrameChange = {
 /** Gives a box another class. */
 type Naming = <T extends ViewBox | undefined>(box: T) => T;
 
-/** A change whose content is determined only when it is sent; null: nothing to save. */
-type LaterChange = { item: Item; make: () => Promise<FrameChange | null> };
-type Waiting = (FrameChange | LaterChange) & { frame: number; made?: FrameChange | null };
-
-type AskSteps = (draft: Draft, suggest: boolean, signal: AbortSignal) => Promise<Api.StepsOut>;
+type Waiting = FrameChange & { frame: number };
 
 type Saver = ReturnType<typeof import("../../web_assets/js/annotate/saver.js").createSaver>;
-type StepLoader = ReturnType<typeof import("../../web_assets/js/annotate/draft.js").createStepLoader>;
-type Suggester = ReturnType<typeof import("../../web_assets/js/annotate/suggestions.js").createSuggester>;
 type WholeBoxes = ReturnType<typeof import("../../web_assets/js/annotate/suggestions.js").createWholeBoxes>;
 type Teach = ReturnType<typeof import("../../web_assets/js/annotate/teach.js").createTeach>;
 
@@ -590,7 +563,9 @@ type PreviewBox = { uid: string; box: Box3D };
 /** `Api.SceneRequest`, with boxes as the page has them. */
 type Scene3D = Omit<Api.SceneRequest, "previews" | "draft" | keyof ViewportBar["settings"]> & {
   previews?: PreviewBox[];
-  draft?: (Omit<Api.DraftJson, "axes"> & { axes: Matrix | null }) | null;
+  draft?:
+    | (ReturnType<typeof import("../../web_assets/js/annotate/draft.js").drawnObject> & { box_kind: Api.BoxKind })
+    | null;
 };
 
 // -- other modes

@@ -1,8 +1,7 @@
 /**
  * Saves drawn objects, one change after the other and in one line with those of the desk: each is based on the revision
  * that resulted from the previous one. A change's body is made when it is sent, from the frame's state at that time, so
- * that it can be applied to the others' version. A change is sent after its `after`: the views that follow from a drag
- * are loaded first, so the server has them in its cache.
+ * that it can be applied to the others' version.
  */
 
 import { button, h, patch } from "../dom.js";
@@ -16,7 +15,7 @@ import { naming } from "./items.js";
  * @param {Desk} desk
  * @param {object} listeners
  * @param {(state: FrameState) => void} listeners.onSaved called when the last waiting change is saved.
- * @param {(change: FrameChange | LaterChange) => void} listeners.onDropped the operator kept the others' version; this
+ * @param {(change: FrameChange) => void} listeners.onDropped the operator kept the others' version; this
  *     change is not saved.
  * @param {(isSaving: boolean) => void} listeners.onBusy called when saving begins, and when it ends or fails.
  */
@@ -38,38 +37,22 @@ export function createSaver(app, desk, { onSaved, onDropped, onBusy }) {
     onBusy(false);
   }
 
-  async function changeOf(/** @type {Waiting} */ entry) {
-    if (!("make" in entry)) return entry;
-    entry.made ??= await entry.make();
-    return entry.made;
-  }
-
   async function send(/** @type {Waiting} */ entry) {
     const { frame } = entry;
-    /** @type {FrameChange | null} */
-    let change = null;
     let namingsSent = namings;
     try {
-      change = await changeOf(entry);
-      await change?.after;
-      if (waiting[0] !== entry) return;
-      if (!change) {
-        waiting.shift();
-        return;
-      }
-      const sent = change;
       await desk.enqueue(async () => {
         const state = await stateOf(frame);
         namingsSent = namings;
-        const body = { revision: state.frame.revision, ...sent.body(state) };
+        const body = { revision: state.frame.revision, ...entry.body(state) };
         /** @type {FrameState | Api.SaveOut} */
-        const answer = await app.api.change(app.path("frames", frame, ...sent.path), body);
-        if ("state" in answer) sent.done?.(answer);
+        const answer = await app.api.change(app.path("frames", frame, ...entry.path), body);
+        if ("state" in answer) entry.done?.(answer);
         take("state" in answer ? answer.state : answer, frame);
       });
       waiting.shift();
     } catch (error) {
-      if (change && isStale(error)) await settle(error, change);
+      if (isStale(error)) await settle(error, entry);
       // an error about a name that the change no longer has does not count: it is sent again
       else if (namingsSent === namings) problem = error instanceof Error ? error : new Error(String(error));
     }
@@ -93,7 +76,7 @@ export function createSaver(app, desk, { onSaved, onDropped, onBusy }) {
    */
   async function settle(/** @type {StaleError} */ error, /** @type {FrameChange} */ change) {
     const choice = await askVersion({ theirs: error.body.state, mine: change.mine(error.body.state) });
-    const dropped = choice === "theirs" ? waiting.map((entry) => entry.made ?? entry) : [];
+    const dropped = choice === "theirs" ? waiting : [];
     if (choice === "theirs") waiting = [];
     app.frames.take(error.body.state);
     for (const one of dropped) onDropped(one);
@@ -101,7 +84,7 @@ export function createSaver(app, desk, { onSaved, onDropped, onBusy }) {
 
   return {
     /** Queues a change of the open frame. */
-    save(/** @type {FrameChange | LaterChange} */ change) {
+    save(/** @type {FrameChange} */ change) {
       waiting.push({ ...change, frame: currentFrame(app).frame.id });
       running ??= run();
     },
@@ -119,10 +102,7 @@ export function createSaver(app, desk, { onSaved, onDropped, onBusy }) {
       if (!Object.keys(renamed).length) return;
       namings += 1;
       const named = naming(renamed);
-      for (const entry of waiting) {
-        const change = "make" in entry ? entry.made : entry;
-        change?.relabel?.(named);
-      }
+      for (const change of waiting) change.relabel?.(named);
       if (problem && waiting.length) running ??= run();
     },
     /** The classes of the boxes that wait. */
