@@ -123,9 +123,11 @@ class Stills:
         with self.writer.store.write() as connection:
             _keep(connection, found)
 
-    def change(self, parts: Sequence[FramePart], seen: Sequence[Sighting] = ()) -> tuple[Receipt, ...]:
+    def change(
+        self, parts: Sequence[FramePart], seen: Sequence[Sighting] = (), action: str | None = None
+    ) -> tuple[Receipt, ...]:
         """Changes several frames as one action, all or nothing, and keeps sightings with them."""
-        action = new_action()
+        action = action or new_action()
         with self.writer.store.write() as connection:
             of_parts = ((each.frame_id, each.payloads, each.context) for each in parts)
             receipts = tuple(self.writer.to_frame_in(connection, *each, action) for each in of_parts)

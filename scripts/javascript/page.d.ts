@@ -438,12 +438,20 @@ interface Work {
 }
 
 /** A change of a frame. Its body is made when it is sent, from the frame's state at that time. */
-type FrameChange = {
+type FrameChange<T = any> = {
   path: string[];
   body: (state: FrameState) => object;
-  /** The operator's version, for the question in stale.js. */
-  mine: (state: FrameState) => Mine;
-  done?: (answer: Api.SaveOut) => void;
+  /** The frame's state in the answer, which is that state by default; null: it has none. */
+  stateOf?: (answer: T) => FrameState | null;
+  /** The operator's version, for the question in stale.js; without it, nobody is asked. */
+  mine?: (state: FrameState) => Mine;
+  /** It is sent once more if others have changed the frame: it changes nothing of theirs. */
+  isSentAgain?: boolean;
+  /** The older revision on which it is based, if others have changed the same since. */
+  base?: () => number | undefined;
+  /** The change that is sent in its place if its track is taken; null: none. */
+  instead?: (error: TrackTakenError, state: FrameState) => Promise<FrameChange<T> | null>;
+  done?: (answer: T) => void;
   item?: Item;
   /** Gives its boxes the new names of classes. */
   relabel?: (named: Naming) => void;

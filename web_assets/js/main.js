@@ -154,6 +154,7 @@ async function travel(/** @type {"undo" | "redo"} */ direction, /** @type {boole
  */
 async function readjust(/** @type {Messages["adjusted"]} */ { recording, operator }) {
   const { route, frame } = app.state;
+  app.frames.miss();
   if (route.mode !== "annotate" || frame?.frame.recording !== recording) return;
   toast(`${operator} has changed this recording's calibration or which way is up.`);
   await follow(true);

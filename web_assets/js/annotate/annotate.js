@@ -60,7 +60,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       else problem.show(error);
     },
   });
-  const preload = createPreload(app, desk, queue);
+  const preload = createPreload(app, desk, queue, opening);
   const picker = createNextClass(parts.classes, app);
   const areas = createAreas(parts.root);
   const core = { app, parts, desk, queue, opening, preload, picker, areas, showDrawn, showBest };

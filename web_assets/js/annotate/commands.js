@@ -20,6 +20,8 @@ const sentence = (/** @type {string} */ text) => `${text[0].toUpperCase()}${text
 export function createCommands(/** @type {Annotate} */ at) {
   const { app, desk, queue, opening } = at;
   let isPlacing = false;
+  /** How often what was refused was shown again. */
+  let refused = 0;
   /** The cameras to which a key went for the selected box. @type {{ uid: string | null, seen: Set<number> }} */
   let tour = { uid: null, seen: new Set() };
 
@@ -78,9 +80,11 @@ export function createCommands(/** @type {Annotate} */ at) {
     const before = opening.openings;
     const next = kind === "accept" && label.isNew ? null : nextAfter(kind, label);
     if (!next && kind === "accept" && isReviewed(label)) sayReviewed();
-    const saved = save(kind, label);
-    // a box that the image shows is selected at once; another frame is opened after saving
     const isHere = next !== null && opening.isShown(next.uid);
+    const isAtOnce = !isHere && next !== null && label.state !== "rejected" && mayGoOn(next.frame);
+    const saved = save(kind, label);
+    if (isAtOnce) return goOnBefore(saved, label.uid, next);
+    // a box that the image shows is selected at once; another camera, or what the change moves, is opened after saving
     if (isHere) desk.select(next.uid);
     else if (next) opening.setLoading(true);
     const isSaved = await saved;
@@ -96,6 +100,33 @@ export function createCommands(/** @type {Annotate} */ at) {
       if (opening.isShown(next.uid)) opening.setLoading(false);
       await opening.go(next, opening.inQueue);
     } else if (!next && kind !== "accept") opening.pick(null);
+  }
+
+  /** Whether a frame can be opened before the change that is about to be sent is saved: it does not depend on it. */
+  const mayGoOn = (/** @type {number} */ frame) =>
+    !Object.values(currentFrame(app).frame.cameras).includes(frame) &&
+    desk.mayGoOn(frame) &&
+    at.teach.unsaved === null &&
+    !at.image.isBusy;
+
+  /** Opens the queue's next box while the one before is being saved; if that is refused, it is shown again. */
+  async function goOnBefore(
+    /** @type {Promise<boolean>} */ saved,
+    /** @type {string} */ uid,
+    /** @type {Target} */ next,
+  ) {
+    const { id: frame } = currentFrame(app).frame;
+    const [isFromQueue, refusals] = [opening.inQueue, refused];
+    queue.leave(uid);
+    void opening.go(next, isFromQueue, true);
+    const isSaved = await saved;
+    if (!at.parts.root.isConnected) return;
+    // what is refused is in the queue again
+    queue.settle(await app.frames.of(frame));
+    // if several were refused, the first of them is shown
+    if (isSaved || refusals !== refused) return;
+    refused += 1;
+    await opening.go({ frame, uid }, isFromQueue);
   }
 
   const isReviewed = (/** @type {PageLabel} */ { state }) => state === "accepted" || state === "edited";

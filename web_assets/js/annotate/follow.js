@@ -125,7 +125,7 @@ export function createFollow(/** @type {Annotate} */ at) {
     const own = { frame: id, number: /** @type {number | null} */ (null) };
     begun = own;
     try {
-      const answer = await desk.change("follow", () => ({ uid, direction }));
+      const answer = await desk.change({ path: ["follow"], body: () => ({ uid, direction }), stateOf: () => null });
       own.number = answer.number;
       take(answer);
       // events of the run may have come before its number

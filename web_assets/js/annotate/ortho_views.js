@@ -101,6 +101,7 @@ export function createOrthoViews(/** @type {Annotate} */ at) {
       if (!desk.shown) {
         request?.abort();
         fetched = null;
+        void preload.start();
       }
       for (const panel of panels) {
         if (!app.state.frame) panel.clear();

@@ -145,7 +145,7 @@ export function createTracks(/** @type {Annotate} */ at) {
     const label = desk.stored();
     if (!label || label.isNew) return;
     await desk.flush();
-    const done = await desk.change("copy-next", () => ({ uid: label.uid }));
+    const done = await desk.change({ path: ["copy-next"], body: () => ({ uid: label.uid }), stateOf: () => null });
     await opening.go(done);
     const copies = desk.labels().filter(({ uid }) => uid === done.uid);
     app.toast(...copiedText(copies));
