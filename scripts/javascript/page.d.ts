@@ -173,6 +173,10 @@ type Events = ReturnType<typeof import("../../web_assets/js/events.js").createEv
 type Keys = ReturnType<typeof import("../../web_assets/js/keys.js").createKeys>;
 /** `key`: its name as in the table; "" for a button. */
 type KeyHandler = (key: string) => unknown;
+/** A row of the table of keys: `shown` is what the table shows in place of `keys`. */
+type KeyRow = { id: string; keys: string[]; shown?: string[]; label: string; group: string };
+/** A row of a chooser: `frame` is the one to go to, `done` the share of its boxes that are reviewed. */
+type Choice = { name: string; frame: number | null; isCurrent: boolean; note: string; done?: number | null };
 type Frames = ReturnType<typeof import("../../web_assets/js/frame_state.js").createFrameState>;
 type Viewport = ReturnType<typeof import("../../web_assets/js/viewport.js").createViewport>;
 type ViewportBar = ReturnType<typeof import("../../web_assets/js/viewport_bar.js").createViewportBar>;
@@ -378,6 +382,12 @@ type Hit = {
   sideY?: number;
 };
 
+/** What a drag does; `cancel` only if it must restore something other than the boxes. */
+type Drag = { move: (px: Point, point: Point) => void; finish: () => void; cancel?: () => void };
+
+/** The place of a text at an overlay. */
+type Tag = { x: number; y: number; width: number };
+
 /** From pointer down to pointer up; px are of the picture, the point is in the window. */
 type Gesture = {
   move: (px: Point, point: Point) => void;
@@ -545,6 +555,8 @@ type NewLabel = {
   sending: Promise<boolean> | null;
 };
 type QueueItem = Api.ItemJson;
+/** What is asked of the values of an attribute, as the server's query has it. */
+type ValueQuery = Partial<Record<"attribute" | "value" | "contains" | "low" | "high" | "known", string>>;
 type Queue = ReturnType<typeof import("../../web_assets/js/annotate/queue.js").createQueue>;
 /** A box of a frame, or without a uid the frame itself. */
 type Target = { frame: number; uid: string | null };
