@@ -431,8 +431,19 @@ type Draft = {
 /** A dashed box on the image. */
 type Guess = { item: Item; image_box: Box2D; caption: string };
 
-/** The state that the files about the pseudo-views share. */
+/** What the files about the pseudo-views share. */
 interface Work {
+  app: ModeApp;
+  saver: Saver;
+  whole: WholeBoxes;
+  objects: ReturnType<typeof import("../../web_assets/js/annotate/objects.js").createObjects>;
+  /** Shows everything anew. */
+  show(): void;
+  /** Says why a detector suggests nothing. */
+  report(role: Api.DetectorKind, problem: string | null): void;
+  setKind(kind: Api.BoxKind): void;
+  /** To be called when an object is about to be stored. */
+  onStored(item: Item): void;
   items: Item[];
   /** The current object. */
   draft: Draft | null;

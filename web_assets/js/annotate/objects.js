@@ -11,14 +11,8 @@ const LOADING_WAIT_MS = 1500;
 /** True if an object has all its boxes and a label. */
 export const isFinished = (/** @type {Item} */ item) => Boolean(item.uid) && item.boxes.every(Boolean);
 
-/**
- * @param {ModeApp} app
- * @param {Work} work
- * @param {{ saver: Saver, report: (problem: string | null) => void, whole: WholeBoxes, show: () => void,
- *     onStored: (item: Item) => void }} parts report: says why there are no suggestions; onStored: called when an object
- *     is about to be stored.
- */
-export function createObjects(app, work, { saver, report, whole, show, onStored }) {
+export function createObjects(/** @type {Work} */ work) {
+  const { app, show, saver } = work;
   const kind = () => work.kind;
   let request = new AbortController();
 
@@ -37,7 +31,7 @@ export function createObjects(app, work, { saver, report, whole, show, onStored 
   /** Closes the current object. */
   function close() {
     request.abort();
-    whole.stop();
+    work.whole.stop();
     work.draft = null;
   }
 
@@ -64,9 +58,9 @@ export function createObjects(app, work, { saver, report, whole, show, onStored 
   function takeAnswer(/** @type {Draft} */ draft, /** @type {Api.StepsOut} */ answer) {
     takeSteps(draft, answer);
     if (work.draft !== draft) return;
-    report(answer.problem);
+    work.report("view", answer.problem);
     show();
-    void whole.follow(draft);
+    void work.whole.follow(draft);
     if (answer.detector === "loading") void load(draft, LOADING_WAIT_MS);
   }
 
@@ -193,7 +187,7 @@ export function createObjects(app, work, { saver, report, whole, show, onStored 
 
   /** Saves an object as it is now; the answer has its views. */
   function save(/** @type {Draft} */ draft) {
-    onStored(draft.item);
+    work.onStored(draft.item);
     if (!work.items.includes(draft.item)) work.items = [...work.items, draft.item];
     request.abort();
     draft.changes += 1;

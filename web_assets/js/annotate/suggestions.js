@@ -3,20 +3,13 @@
  * them is shown dashed; Enter confirms it, another key shows the next one.
  */
 
-import { isAborted } from "../errors.js";
 import { plainBox } from "./items.js";
 
 /** Enter confirms a box only after this time on the screen: before it, the key was meant for something else. */
 const SEEN_MS = 300;
 
-/**
- * @param {ModeApp} app
- * @param {Work} work
- * @param {object} parts
- * @param {Saver} parts.saver
- * @param {() => void} parts.onOffered called when boxes are offered, or another one is shown.
- */
-export function createWholeBoxes(app, work, { saver, onOffered }) {
+export function createWholeBoxes(/** @type {Work} */ work) {
+  const { app, show, saver } = work;
   let request = new AbortController();
 
   /** The label of a draft's object, if its box encloses only what is seen. */
@@ -31,19 +24,14 @@ export function createWholeBoxes(app, work, { saver, onOffered }) {
     request.abort();
     request = new AbortController();
     const { signal } = request;
-    try {
-      await saver.idle();
-      if (signal.aborted || draft.whole?.changes === draft.changes || !seenLabel(draft)) return;
-      const { changes } = draft;
-      const path = app.path("frames", draft.frame, "label", "whole");
-      const boxes = await app.api.post(path, { image_box: plainBox(draft.item.image_box) }, { signal });
-      if (signal.aborted || draft.changes !== changes) return;
-      draft.whole = { boxes, shown: 0, changes, since: performance.now() };
-      onOffered();
-    } catch (error) {
-      // the object is labelled without it
-      if (!isAborted(error)) app.toast(error);
-    }
+    await saver.idle();
+    if (signal.aborted || draft.whole?.changes === draft.changes || !seenLabel(draft)) return;
+    const { changes } = draft;
+    const path = app.path("frames", draft.frame, "label", "whole");
+    const boxes = await app.api.post(path, { image_box: plainBox(draft.item.image_box) }, { signal });
+    if (signal.aborted || draft.changes !== changes) return;
+    draft.whole = { boxes, shown: 0, changes, since: performance.now() };
+    show();
   }
 
   /** The box that is offered for the current object; null if there is none. */
@@ -60,7 +48,7 @@ export function createWholeBoxes(app, work, { saver, onOffered }) {
     if (!offered() || !whole || whole.boxes.length < 2) return false;
     app.effort.action();
     whole.shown = (whole.shown + 1) % whole.boxes.length;
-    onOffered();
+    show();
     return true;
   }
 
@@ -85,7 +73,7 @@ export function createWholeBoxes(app, work, { saver, onOffered }) {
       }),
       mine: () => ({ text: [`${name}: its whole box`], boxes: [], outlines: [outline] }),
     });
-    onOffered();
+    show();
     return true;
   }
 

@@ -27,24 +27,6 @@ const reported = new Set();
 
 export function createTeach(/** @type {Annotate} */ at) {
   const { app, desk, parts } = at;
-  /** @type {Work} */
-  const work = {
-    items: [],
-    draft: null,
-    selected: null,
-    notSaved: [],
-    detections: [],
-    get isReadonly() {
-      return Boolean(app.state.frame?.frame.finalised);
-    },
-    get kind() {
-      return app.state.frame?.image_boxes?.box_kind ?? app.state.project.settings.box_kind;
-    },
-  };
-  /** @type {number | null} */
-  let frameShown = null;
-  let isOn = false;
-
   const saver = createSaver(app, desk, {
     onSaved,
     onDropped: (change) => objects.onDropped(change),
@@ -55,28 +37,35 @@ export function createTeach(/** @type {Annotate} */ at) {
       else void refresh();
     },
   });
-  const whole = createWholeBoxes(app, work, { saver, onOffered: show });
-  const views = createViewsPane(app, {
-    onBox: (...change) => objects.setViewBox(...change),
-    onClear: (...change) => objects.clearViewBox(...change),
-    onKind: setKind,
-    newLabel: () => work.draft?.item.image_box.label ?? "",
-  });
-  const objects = createObjects(app, work, {
+  /** @type {Partial<Work>} */
+  const core = {
+    app,
     saver,
-    report: (problem) => report("view", problem),
-    whole,
+    items: [],
+    draft: null,
+    selected: null,
+    notSaved: [],
+    detections: [],
     show,
-    onStored(item) {
-      // the object replaces the box that was found for it
-      const { found } = item;
-      // what was found or proposed may have got another class since
-      const own = work.items.includes(item) ? null : desk.stored(found ?? item.uid ?? "");
-      if (own) relabelItem(item, naming({ [item.image_box.label]: desk.seen(own).label }));
-      item.found = null;
-      if (found) desk.drop(found);
+    report,
+    setKind,
+    onStored,
+    get isReadonly() {
+      return Boolean(app.state.frame?.frame.finalised);
     },
-  });
+    get kind() {
+      return app.state.frame?.image_boxes?.box_kind ?? app.state.project.settings.box_kind;
+    },
+  };
+  const work = /** @type {Work} */ (core);
+  /** @type {number | null} */
+  let frameShown = null;
+  let isOn = false;
+
+  work.whole = createWholeBoxes(work);
+  work.objects = createObjects(work);
+  const { whole, objects } = work;
+  const views = createViewsPane(work);
   const problem = createSaveProblem(app, saver, { onRelabel: rename, onDiscard: discard });
   parts.object.append(views.root);
   parts.problem.append(problem.root);
@@ -150,6 +139,16 @@ export function createTeach(/** @type {Annotate} */ at) {
     show();
   }
 
+  /** An object is about to be stored: it replaces the box that was found for it. */
+  function onStored(/** @type {Item} */ item) {
+    const { found } = item;
+    // what was found or proposed may have got another class since
+    const own = work.items.includes(item) ? null : desk.stored(found ?? item.uid ?? "");
+    if (own) relabelItem(item, naming({ [item.image_box.label]: desk.seen(own).label }));
+    item.found = null;
+    if (found) desk.drop(found);
+  }
+
   /** Says why a detector suggests nothing. */
   function report(/** @type {Api.DetectorKind} */ role, /** @type {string | null | undefined} */ problem) {
     const key = `${app.state.route.project}: ${problem}`;
@@ -202,8 +201,6 @@ export function createTeach(/** @type {Annotate} */ at) {
 
   function show() {
     problem.show();
-    views.setReadonly(work.isReadonly);
-    views.showKind(work.kind, work.isReadonly);
     views.show(isOn ? work.draft : null);
     at.showDrawn();
   }

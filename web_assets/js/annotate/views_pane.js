@@ -23,23 +23,19 @@ const KINDS = [
   ["box", "Whole object", "Boxes enclose the whole object, hidden parts included."],
 ];
 
-/**
- * @param {ModeApp} app
- * @param {object} listeners
- * @param {(index: number, box: Box2D, actions: number) => void} listeners.onBox called when a
- *     box was set on view `index` (0 to 3).
- * @param {(index: number, actions: number) => void} listeners.onClear called when a view's box was deleted.
- * @param {(kind: Api.BoxKind) => void} listeners.onKind called with what the boxes are to enclose.
- * @param {() => string} listeners.newLabel
- */
-export function createViewsPane(app, { onBox, onClear, onKind, newLabel }) {
+export function createViewsPane(/** @type {Work} */ work) {
   const panes = VIEWS.map(([name, testid], index) => makePane(name, testid, index));
   const messages = [0, 1].map((step) =>
     h("p.views-message", { role: "status", "data-testid": step ? "views-message-2" : "views-message" }),
   );
   const source = h("p.muted.views-source", { role: "status", "data-testid": "views-source" });
   const kinds = KINDS.map(([kind, text, title]) =>
-    button(text, () => onKind(kind), { role: "radio", title, "aria-checked": "false", "data-testid": `kind-${kind}` }),
+    button(text, () => work.setKind(kind), {
+      role: "radio",
+      title,
+      "aria-checked": "false",
+      "data-testid": `kind-${kind}`,
+    }),
   );
   const pairs = [0, 1].map((step) =>
     h("div.pair", panes[2 * step].element, panes[2 * step + 1].element, messages[step]),
@@ -62,11 +58,11 @@ export function createViewsPane(app, { onBox, onClear, onKind, newLabel }) {
     const editor = createEditor(host, {
       label: `${name} view`,
       single: true,
-      color: ({ label }) => classColor(app.state.project, label),
-      newLabel,
+      color: ({ label }) => classColor(work.app.state.project, label),
+      newLabel: () => work.draft?.item.image_box.label ?? "",
       onChange(boxes, why, changed, actions) {
-        if (why === "delete") onClear(index, actions);
-        else onBox(index, boxes[changed], actions);
+        if (why === "delete") work.objects.clearViewBox(index, actions);
+        else work.objects.setViewBox(index, boxes[changed], actions);
       },
     });
     host.append(caption);
@@ -75,6 +71,11 @@ export function createViewsPane(app, { onBox, onClear, onKind, newLabel }) {
 
   /** @param {Draft | null} draft the current object. */
   function show(draft) {
+    for (const editor of editors) editor.setReadonly(work.isReadonly);
+    KINDS.forEach(([name], i) => {
+      kinds[i].setAttribute("aria-checked", String(name === work.kind));
+      kinds[i].disabled = work.isReadonly;
+    });
     const views = draft?.answer.steps.flatMap((step) => step.views) ?? [];
     source.textContent = source.title = sourceOf(draft);
     const suggestions = draft ? suggestionsOf(draft) : [];
@@ -99,15 +100,6 @@ export function createViewsPane(app, { onBox, onClear, onKind, newLabel }) {
     root,
     show,
     editors,
-    showKind(/** @type {Api.BoxKind} */ kind, /** @type {boolean} */ isReadonly) {
-      KINDS.forEach(([name], i) => {
-        kinds[i].setAttribute("aria-checked", String(name === kind));
-        kinds[i].disabled = isReadonly;
-      });
-    },
-    setReadonly(/** @type {boolean} */ value) {
-      for (const editor of editors) editor.setReadonly(value);
-    },
     destroy() {
       for (const editor of editors) editor.destroy();
     },
