@@ -499,7 +499,7 @@ interface Annotate {
   opening: Opening;
   preload: ReturnType<typeof import("../../web_assets/js/annotate/preload.js").createPreload>;
   areas: ReturnType<typeof import("../../web_assets/js/annotate/areas.js").createAreas>;
-  picker: ReturnType<typeof import("../../web_assets/js/annotate/class_picker.js").createNextClass>;
+  picker: ReturnType<typeof import("../../web_assets/js/classes/picker.js").createNextClass>;
   sheet: ReturnType<typeof import("../../web_assets/js/annotate/sheet.js").createSheet>;
   tracks: ReturnType<typeof import("../../web_assets/js/annotate/tracks.js").createTracks>;
   follow: ReturnType<typeof import("../../web_assets/js/annotate/follow.js").createFollow>;
