@@ -197,7 +197,7 @@ def test_statistics_follow_the_work_and_checks_lead_to_its_boxes(shared_page: Pa
     selected = page.locator('[data-testid="frame-box"][aria-current="true"]')
     expect(selected).to_have_attribute("data-uid", made.uids[0])
     page.goto(f"/#/{room.path.name}/checks")
-    link = page.get_by_test_id("checks-attribute").get_by_test_id("warning").filter(has_text="000001")
+    link = page.get_by_test_id("checks-attribute").get_by_test_id("warning").filter(has_text="frame 2")
     expect(link).to_contain_text("this frame has no value of rain, which is required")
     link.click()
     expect(page).to_have_url(re.compile(rf"/annotate/{other.id}$"))

@@ -85,13 +85,13 @@ export function mount(root, app, until) {
     ]);
   }
 
-  function row(/** @type {Api.WarningRow} */ { frame, key, recording, uid, message }) {
+  function row(/** @type {Api.WarningRow} */ { frame, number, key, recording, uid, message }) {
     const href = makeHash(app.state.route.project, "annotate", frame, { uid });
     return h(
       "li",
-      h("a", { href, "data-testid": "warning", "data-uid": uid }, [
+      h("a", { href, title: key, "data-testid": "warning", "data-uid": uid }, [
         h("span.grow", message),
-        h("span.muted.number", `${recording}, frame ${key}`),
+        h("span.muted.number", `${recording}, frame ${number ?? key}`),
       ]),
     );
   }
