@@ -26,7 +26,10 @@ export function askVersion({ theirs, mine }) {
     wide: true,
     required: true,
     content: [
-      h("p", "By another operator, or in another tab. Your last change was made on an older version and is not saved yet: choose."),
+      h(
+        "p",
+        "By another operator, or in another tab. Your last change was made on an older version and is not saved yet: choose.",
+      ),
       h(
         "div.versions",
         version("Saved version", picture(theirs, null), h("p.help", counts)),

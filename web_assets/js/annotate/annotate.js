@@ -204,6 +204,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     areas: once(areas.swap),
     "top-view": once(() => turnMap(!map.isShown)),
     teach: once(() => teach.turn(!teach.isOn)),
+    unlabelled: once(() => commands.whenCalm(commands.nextUnlabelled)),
     "next-whole-box": once(() => teach.nextWhole()),
   };
   const actions = createActions(parts.actions, bindings, teach.turn);

@@ -32,6 +32,12 @@ const sentence = (/** @type {string} */ text) => `${text[0].toUpperCase()}${text
  */
 export function createCommands(app, { desk, queue, opening, follow, image, ortho, teach, map, picker, root }) {
   let isPlacing = false;
+  /**
+   * The box of what nobody labelled that was offered last, and how far away it is.
+   *
+   * @type {{ frame: number | null, beyond: number, uid: string | null }}
+   */
+  let standing = { frame: null, beyond: 0, uid: null };
   /** The cameras to which a key went for the selected box. @type {{ uid: string | null, seen: Set<number> }} */
   let tour = { uid: null, seen: new Set() };
 
@@ -202,27 +208,42 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
   }
 
   /** A box of the next class is placed where the top view was clicked. */
-  async function placeAt(/** @type {Vector} */ point) {
+  const placeAt = (/** @type {Vector} */ point) => offer("place", { point, label: picker.label });
+
+  /** Adds a box of the next class that the server finds; returns its answer, or null if the frame was left. */
+  async function offer(/** @type {"place" | "unlabelled"} */ what, /** @type {object} */ body) {
     // not twice by a double click
-    if (!canDraw() || isPlacing) return;
+    if (!canDraw() || isPlacing) return null;
     isPlacing = true;
     const { id } = currentFrame(app).frame;
     try {
-      /** @type {Api.FitOut} */
-      const {
-        box,
-        note,
-        too_few_points: _,
-        ...facts
-      } = await app.api.post(app.path("frames", id, "place"), { point, label: picker.label });
-      if (app.state.frame?.frame.id !== id || !root.isConnected) return;
-      if (box) desk.add({ ...facts, box, label: picker.label, image_box: null });
+      /** @type {Api.FitOut & Partial<Api.UnlabelledOut>} */
+      const answer = await app.api.post(app.path("frames", id, what), body);
+      if (app.state.frame?.frame.id !== id || !root.isConnected) return null;
+      const { box, note, too_few_points: _, distance: __, label, ...facts } = answer;
+      // one that was offered before, and not taken
+      if (what === "unlabelled" && desk.shown?.isNew && desk.uid === standing.uid) desk.drop(desk.uid);
+      if (box) desk.add({ ...facts, box, label: label ?? picker.label, image_box: null });
       else app.toast(sentence(note ?? "nothing was placed"), "warn");
+      return answer;
     } catch (error) {
       app.toast(error);
+      return null;
     } finally {
       isPlacing = false;
     }
+  }
+
+  /** Lets what nobody labelled stand out; then offers a box of the next of it, the nearest first. */
+  async function nextUnlabelled() {
+    if (app.viewport.showUnlabelled(true)) return;
+    const { id } = currentFrame(app).frame;
+    const { beyond } = standing.frame === id ? standing : { beyond: 0 };
+    const answer = await offer("unlabelled", { beyond });
+    if (answer === null) return;
+    standing = { frame: id, beyond: answer.box ? (answer.distance ?? 0) : 0, uid: answer.box ? desk.uid : null };
+    if (answer.box) app.viewport.look("focus");
+    else app.viewport.showUnlabelled(false);
   }
 
   async function copy() {
@@ -300,6 +321,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     canDraw,
     draw,
     fitDrawn,
+    nextUnlabelled,
     placeAt,
     copy,
     finalise,
