@@ -1,6 +1,6 @@
 /** Opens frames, and selects a box in each. */
 
-import { isAborted } from "../errors.js";
+import { ApiError, isAborted } from "../errors.js";
 import { frameBeside } from "../frame_problem.js";
 import { makeHash } from "../router.js";
 import { isOpen } from "./desk.js";
@@ -64,8 +64,7 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
         showProblem(null);
       }
       pick(uid, track);
-      // one that was read ahead is read again, when it is shown
-      setTimeout(() => own === openings && desk.refresh().catch(app.toast), REST_MS);
+      setTimeout(() => own === openings && readAgain(id), REST_MS);
     } catch (error) {
       if (own !== openings || isAborted(error)) return null;
       showProblem(error, id);
@@ -73,6 +72,17 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
       if (own === openings) setLoading(false);
     }
     return true;
+  }
+
+  /** Reads a frame that was read ahead again, when it is shown. It may have become unreadable since. */
+  async function readAgain(/** @type {number} */ id) {
+    try {
+      await desk.refresh();
+    } catch (error) {
+      if (!(error instanceof ApiError && error.status > 0)) return app.toast(error);
+      opened = null;
+      await open(id, desk.uid);
+    }
   }
 
   /** Shows the reason why a frame cannot be read, in place of its pictures; null: it can be read. */
