@@ -108,6 +108,8 @@ interface Messages {
   follow: { run: Api.FollowRunJson };
   /** A recording has another up direction or calibration. */
   adjusted: { recording: number; adjusted: number; operator: string };
+  /** Frames show other objects that stand still, or show them elsewhere. */
+  still: object;
   /** The classes or attributes have changed; `renamed`: old name of a class -> new name. */
   classes: { renamed: Record<string, string>; operator: string };
   replaced: { project: string };

@@ -267,7 +267,7 @@ test("another track is no new review of the box, and a box that others have dele
   desk.preview({ box: LONGER });
   app.state.frame = frameState(5, []);
   desk.settle();
-  assert.deepEqual(app.told, ["Another operator has deleted the box that you were changing."]);
+  assert.deepEqual(app.told, ["The box that you were changing was deleted elsewhere."]);
   assert.equal(desk.uid, null);
 });
 

@@ -17,17 +17,20 @@ const MINE = "#ff5d8f";
  */
 export function askVersion({ theirs, mine, name }) {
   const authors = [...new Set(theirs.labels.map(({ author }) => author))].filter(Boolean);
-  const onImage = count(theirs.image_boxes?.boxes.length ?? 0, "box", "boxes");
-  const in3D = count(theirs.labels.length, "box", "boxes");
+  const onImage = count(theirs.image_boxes?.boxes.length ?? 0, "box");
+  const in3D = count(theirs.labels.length, "box");
   const by = authors.length ? ` (by ${authors.join(", ")})` : "";
   const counts = `${onImage} on the image, ${in3D} in 3D${by}`;
   return openDialog({
-    title: `Another operator has changed ${name === undefined ? "this frame" : `frame ${name}`}`,
+    title: `${name === undefined ? "This frame" : `Frame ${name}`} was changed elsewhere`,
     testid: "stale-dialog",
     wide: true,
     required: true,
     content: [
-      h("p", "Your last change was made on an older version and is not saved yet. Choose between the two versions."),
+      h(
+        "p",
+        "By another operator, or in another tab. Your last change was made on an older version and is not saved yet: choose.",
+      ),
       h(
         "div.versions",
         version("Saved version", picture(theirs, null), h("p.help", counts)),

@@ -50,7 +50,7 @@ def find_sightings(
         progress: called with (moments done, moments).
     """
     left = project.stills.unsighted(recording_id)
-    index = next((frame.index for frame in left if frame.id == near), 0) or 0
+    index = (0 if near is None else project.frames.get(near).index) or 0
     ordered = sorted(left, key=lambda frame: (abs((frame.index or 0) - index), frame.moment_id, frame.id))
     moments = [list(group) for _, group in groupby(ordered, key=lambda frame: frame.moment_id)]
     source, poses, done = FrameSource(project), dict[int, dict[int, RigidTransform]](), 0

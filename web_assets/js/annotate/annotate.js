@@ -184,6 +184,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       catchUp();
     }),
     app.events.on("frame", catchUp),
+    app.events.on("still", catchUp),
     app.events.on("reconnected", catchUp),
     app.keys.register(at.commands.keys),
   ];

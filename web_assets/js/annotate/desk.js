@@ -90,7 +90,7 @@ export function createDesk(/** @type {App} */ app) {
       // if a draft is being sent, the answer to it reports the outcome
       const mustNotify = !drafts.get(gone)?.sending;
       drafts.delete(gone);
-      if (mustNotify) app.toast("Another operator has deleted the box that you were changing.", "warn");
+      if (mustNotify) app.toast("The box that you were changing was deleted elsewhere.", "warn");
     }
     if (uid !== null && !stored()) uid = null;
     notify("frame");
@@ -290,6 +290,7 @@ export function createDesk(/** @type {App} */ app) {
         heading_beside: null,
         seen_by: [],
         better_in: null,
+        still: false,
       };
       added.set(uid, { label, image_box, found: fit.box, actions: 1, problem: null, sending: null });
       notify("selection");

@@ -64,7 +64,13 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
         showProblem(null);
       }
       pick(uid, track);
-      setTimeout(() => own === openings && readAgain(id), REST_MS);
+      // one that was read ahead is read again, when it is shown; its files may be damaged or gone by now
+      const again = (/** @type {unknown} */ error) => {
+        if (own !== openings || !(error instanceof ApiError && error.status > 0)) return app.toast(error);
+        opened = null;
+        void open(id, uid, track, isAsItIs);
+      };
+      setTimeout(() => own === openings && desk.refresh().catch(again), REST_MS);
     } catch (error) {
       if (own !== openings || isAborted(error)) return null;
       showProblem(error, id);
@@ -72,17 +78,6 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
       if (own === openings) setLoading(false);
     }
     return true;
-  }
-
-  /** Reads a frame that was read ahead again, when it is shown. It may have become unreadable since. */
-  async function readAgain(/** @type {number} */ id) {
-    try {
-      await desk.refresh();
-    } catch (error) {
-      if (!(error instanceof ApiError && error.status > 0)) return app.toast(error);
-      opened = null;
-      await open(id, desk.uid);
-    }
   }
 
   /** Shows the reason why a frame cannot be read, in place of its pictures; null: it can be read. */

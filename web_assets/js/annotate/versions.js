@@ -30,7 +30,7 @@ export function changesOn(
   const isGone = (/** @type {Change} */ { uid }) => uid !== undefined && !uids.has(uid);
   const present = changes.map((change) => (change.kind === "edit" && isGone(change) ? asNew(change) : change));
   const fitting = present.filter((change) => !isGone(change));
-  if (fitting.length === 0) throw new Error("Another operator has deleted the box.");
+  if (fitting.length === 0) throw new Error("The box was deleted elsewhere.");
   return { changes: fitting, subject: subject !== null && uids.has(subject) ? subject : null };
 }
 
