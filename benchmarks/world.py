@@ -48,7 +48,8 @@ from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.settings import rcv_config
-from annotator.workflows.tracks.still_objects import find_sightings, make_still, visible
+from annotator.workflows.tracks.operations import StandStill, apply
+from annotator.workflows.tracks.still_objects import find_sightings, visible
 from annotator.workflows.workbench.review_queue import Order, queue
 from benchmarks.report import QUIET, Options, Table, chosen, guarded, program, require
 from benchmarks.review_desk import AUTHOR, Thing, TrackKey
@@ -128,7 +129,7 @@ def still_objects(path: Path, folder: Path) -> dict[str, Any]:
             frame, box = seen[0]
             new = NewLabel(key[0], box, track_id=track_id)
             project.labels.create(frame.id, [new], WriteContext(project.frames.get(frame.id).revision, AUTHOR))
-            make_still(project, frame.recording_id, track_id, AUTHOR, frame_id=frame.id)
+            apply(project, frame.recording_id, track_id, StandStill(frame=frame.id), AUTHOR)
         find_sightings(project, first, progress=lambda done, of: QUIET.print(f"{done} of {of} moments"))
         ious = [
             best_of(project, track_id, seen, moment)
@@ -228,7 +229,7 @@ class Traveller(Operator):
         bill.act("accept", KEY_S)
         bill.act("number", TYPE_S)
         bill.act("stands still", KEY_S)
-        make_still(project, frame.recording_id, track_id, AUTHOR, frame_id=frame.id)
+        apply(project, frame.recording_id, track_id, StandStill(frame=frame.id), AUTHOR)
 
     def _review_frame(self, frame: StoredFrame) -> None:
         """Corrects what stands still where the frame shows that its box is not right, draws, and looks where else."""
