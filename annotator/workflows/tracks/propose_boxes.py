@@ -136,7 +136,7 @@ def page_at(project: Project, frame_id: int, revision: int) -> FramePage:
     """Returns the state of a frame that an operator has seen at a revision; StaleRevisionError if it has changed."""
     page = read_page(project, frame_id)
     if page.frame.revision != revision:
-        raise StaleRevisionError(f"frame {page.frame.key}", revision, page.frame.revision)
+        raise StaleRevisionError("this frame", revision, page.frame.revision)
     return page
 
 
@@ -144,7 +144,7 @@ def label_of(page: FramePage, uid: str) -> StoredLabel:
     """Returns a label of a frame, as it was when the frame was read."""
     label = next((stored for stored in page.labels if stored.label.uid == uid), None)
     if label is None:
-        raise NotFoundError(f"frame {page.frame.key} has no label {uid}; reload the frame")
+        raise NotFoundError(f"this frame has no label {uid}; reload it")
     return label
 
 
