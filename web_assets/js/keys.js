@@ -77,6 +77,7 @@ export const KEYS = [
     ["track-class", digits("Shift+"), "Class of the whole track", ["Shift", "1", "…", "9"]],
     ["track-size", ["Z"], "The size of this box for the whole track"],
     ["track-fill", ["I"], "Fill the track's gaps beside this box"],
+    ["track-still", ["A"], "Say that the track stands still, with one box for all frames, or that it moves"],
     ["track-delete", ["Shift+Delete", "Shift+Backspace"], "Delete the track from this frame on", ["Shift", "Del"]],
     ["next-of-track", ["Shift+N"], "Next frame of this object", ["Shift", "N"]],
     ["previous-of-track", ["Shift+P"], "Previous frame of this object", ["Shift", "P"]],
