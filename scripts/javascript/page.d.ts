@@ -430,9 +430,6 @@ type Draft = {
   whole: { boxes: Api.WholeBoxJson[]; shown: number; changes: number; since: number } | null;
 };
 
-/** A dashed box on the image. */
-type Guess = { item: Item; image_box: Box2D; caption: string };
-
 /** What the files about the pseudo-views share. */
 interface Work {
   app: ModeApp;

@@ -125,18 +125,18 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     if (opening.loading) return;
     const picture = app.state.frame?.image;
     parts.root.classList.toggle("wide", picture !== undefined && picture.width > WIDE_ASPECT * picture.height);
-    image.show();
-    boxList.show();
+    showBox();
     picker.show();
-    fields.show();
-    attributes.show();
-    tracks.show();
     const track = desk.stored()?.track_id ?? null;
     if (track !== app.state.track) app.state.set({ track });
     showQueue();
     scene.show();
-    map.show();
     void ortho.show();
+  }
+
+  /** What shows the selected box, except those parts that follow a drag in another way. */
+  function showBox() {
+    for (const part of [image, boxList, fields, attributes, tracks, map]) part.show();
   }
 
   const stop = [
@@ -144,13 +144,8 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       if (what === "saving") {
         showBusy();
       } else if (what === "draft") {
-        image.show();
-        boxList.show();
+        showBox();
         ortho.follow();
-        map.show();
-        fields.show();
-        attributes.show();
-        tracks.show();
         scene.preview();
         if (!desk.hasDraft) void ortho.show();
       } else {

@@ -228,16 +228,8 @@ export function createCommands(/** @type {Annotate} */ at) {
     if (!app.state.frame) return;
     const { frame } = app.state.frame;
     const left = desk.labels().filter(isOpen).length;
-    if (
-      !frame.finalised &&
-      left > 0 &&
-      !(await confirm(
-        "Finalise the frame",
-        `${count(left, "proposal")} of this frame ${left === 1 ? "is" : "are"} not reviewed yet.`,
-        "Finalise anyway",
-      ))
-    )
-      return;
+    const text = `${count(left, "proposal")} of this frame ${left === 1 ? "is" : "are"} not reviewed yet.`;
+    if (!frame.finalised && left > 0 && !(await confirm("Finalise the frame", text, "Finalise anyway"))) return;
     if (await desk.finalise(!frame.finalised))
       app.toast(frame.finalised ? "The frame is reopened." : "The frame is finalised.", "good");
   }

@@ -110,13 +110,12 @@ export function createViewsPane(/** @type {Work} */ work) {
 
 const SIDES = ["front", "side"];
 
-/** @param {{draft: Draft | null, isReadonly: boolean, notSaved: number, isWholeOffered: boolean}} situation */
-export function hintFor({ draft, isReadonly, notSaved, isWholeOffered }) {
+export function hintFor(/** @type {Work} */ { draft, isReadonly, notSaved, whole }) {
   if (isReadonly) return "This frame is finalised. Reopen it to change something.";
-  if (notSaved) return "Click the dashed box marked 'yours, not saved' to save it.";
+  if (notSaved.length) return "Click the dashed box marked 'yours, not saved' to save it.";
   if (!draft) return "Select a box, or draw one around an object on the image.";
   const name = draft.item.image_box.label;
-  if (isWholeOffered) {
+  if (whole.offered()) {
     const others = (draft.whole?.boxes.length ?? 0) > 1 ? ", W shows another one" : "";
     return `The ${name} is finished. Space takes the dashed box as the whole ${name}${others}.`;
   }
