@@ -166,7 +166,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     }),
     app.state.on("project", () => {
       queueList.fill();
-      fields.fill();
       teach.show();
       showAll();
     }),
