@@ -28,6 +28,8 @@ interface Attributes extends Listeners {
   [name: string]: AttributeValue;
 }
 type Child = Node | string | null | undefined | false;
+/** Children in lists, and in lists of lists. */
+type Children = Child | Children[];
 /** The tag of an element that is written with its classes: "div.row" is a "div". */
 type TagOf<T extends string, Known> = (T extends `${infer Tag}.${string}` ? Tag : T) & keyof Known;
 

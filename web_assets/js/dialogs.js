@@ -126,14 +126,13 @@ export function keyTableDialog(/** @type {Keys} */ keys) {
   const groups = new Map();
   for (const row of keys.table) groups.set(row.group, [...(groups.get(row.group) ?? []), row]);
   const sections = [...groups].map(([group, rows]) =>
-    h(
-      "section",
+    h("section", [
       h("h3", group),
       h(
         "dl",
         rows.flatMap((row) => [h("dt", keyCaps(row)), h("dd", row.label)]),
       ),
-    ),
+    ]),
   );
   return openDialog({
     title: "Keys",

@@ -88,7 +88,7 @@ export const KEYS = [
     ["points-smaller", ["-"], "Smaller points"],
     ["look-box", ["O"], "3D view: look at the selected box, and turn around it (or double-click it)"],
     ["hide-ground", ["H"], "3D view: hide the ground"],
-    ["unlabelled", ["U"], "3D view: highlight what nobody labelled"],
+    ["unlabelled", ["U"], "Highlight what nobody labelled; again: box the next of it"],
     ["fit", ["0", "Home"], "Fit the pictures to their panels"],
   ]),
   ...rows("2D boxes", [

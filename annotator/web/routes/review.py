@@ -127,26 +127,25 @@ def place(at: AtFrame, body: PlaceIn) -> FitOut:
 
 
 class UnlabelledIn(Schema):
-    """The class of an object that nobody has labelled, and the distance of the last one that was offered, metres."""
+    """The distance of the last thing that was offered, metres."""
 
-    label: ClassName
     beyond: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
 
 
 class UnlabelledOut(FitOut):
-    """A fitted box, and how far away its object is, metres."""
+    """A box, the class that its thing seems to have (null if none has a usual size), and how far away it is, metres."""
 
+    label: str | None
     distance: float
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/unlabelled")
 def unlabelled(at: AtFrame, body: UnlabelledIn) -> UnlabelledOut:
-    """Fit a box to the next thing that this camera sees and that is in no box, the nearest first. Nothing is stored."""
-    opened, config, ready = _ready(at)
+    """Box the next thing that this camera sees and that is in no box, the nearest first. Nothing is stored."""
+    opened, config, _ = _ready(at)
     boxes = [each.box for each in at.project.labels.of_frame(at.frame_id) if each.state is not ReviewState.REJECTED]
-    classes = at.project.config.classes
-    found, distance_m = next_unlabelled(opened, boxes, body.beyond, body.label, classes, config, ready.detector)
-    return UnlabelledOut.of(_fitted(at, found, ready), distance=distance_m)
+    found, label, distance_m = next_unlabelled(opened, boxes, body.beyond, at.project.config.classes, config)
+    return UnlabelledOut.of(_fitted(at, found, Readiness("none")), label=label, distance=distance_m)
 
 
 def _fitted(at: InFrame, found: FoundBox, ready: Readiness) -> FitOut:

@@ -90,12 +90,15 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   });
   /** The labels before an undo. @type {{ frame: number, labels: Map<string, string> } | null} */
   let seen = null;
+  let drawing = 0;
 
   // -- showing
 
+  /** Its rows come after the pictures, and once for all that changes until then: they take longer than all else. */
   function showQueue() {
     actions.show();
-    queueList.show(desk.uid);
+    cancelAnimationFrame(drawing);
+    drawing = requestAnimationFrame(() => setTimeout(() => queueList.show(desk.uid)));
   }
 
   function showBusy() {
