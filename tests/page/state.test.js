@@ -87,6 +87,14 @@ test("what was read ahead is opened at once, and is behind until it is read agai
   asked.length = 0;
   await frames.open(2, null);
   assert.notEqual(asked.length, 0, "it has changed since");
+  // a frame that was left is known, too, as it was saved later
+  assert.equal(frames.take(frameState(5)), false);
+  frames.take(frameState(4));
+  assert.equal((await frames.of(1)).frame.revision, 5);
+  frames.miss();
+  asked.length = 0;
+  await frames.open(1, null);
+  assert.equal(asked[0], "frames/1", "messages about it may have been missed");
 });
 
 // -- the queue
