@@ -191,7 +191,6 @@ export function createCommands(/** @type {Annotate} */ at) {
   async function fitDrawn(/** @type {Box2D} */ box) {
     if (at.teach.isOn) return at.teach.draw(box);
     const { id } = currentFrame(app).frame;
-    /** @type {Api.FitOut} */
     const answer = await app.api.post(app.path("frames", id, "fit"), { image_box: box });
     const { note, box: fitted, too_few_points, ...facts } = answer;
     if (app.state.frame?.frame.id !== id || !at.parts.root.isConnected)

@@ -48,6 +48,7 @@ export function createImagePanel(/** @type {Annotate} */ at) {
   let shownFrame = -1;
   const editor = createEditor(body, {
     label: "Camera image with the frame's boxes",
+    until: at.until,
     color: ({ label }) => classColor(app.state.project, label),
     canDraw: () => at.commands.canDraw() && !isFitting,
     leastDraw: LEAST_DRAG,
@@ -222,6 +223,5 @@ export function createImagePanel(/** @type {Annotate} */ at) {
     },
     body,
     editor,
-    destroy: () => editor.destroy(),
   };
 }

@@ -39,6 +39,7 @@ export function createTeach(/** @type {Annotate} */ at) {
   /** @type {Partial<Work>} */
   const core = {
     app,
+    until: at.until,
     saver,
     items: [],
     draft: null,
@@ -69,6 +70,7 @@ export function createTeach(/** @type {Annotate} */ at) {
   parts.object.append(views.root);
   parts.problem.append(problem.root);
   views.root.hidden = true;
+  at.until.addEventListener("abort", close);
 
   // -- the frame's objects
 
@@ -408,10 +410,6 @@ export function createTeach(/** @type {Annotate} */ at) {
       const text =
         `Not saved: ${count(saver.waiting, "change")} of this frame. ${saver.problem?.message ?? ""}`.trim();
       return { text, retry: saver.retry, discard };
-    },
-    destroy() {
-      close();
-      views.destroy();
     },
   };
 }

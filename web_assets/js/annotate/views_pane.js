@@ -58,6 +58,7 @@ export function createViewsPane(/** @type {Work} */ work) {
     const editor = createEditor(host, {
       label: `${name} view`,
       single: true,
+      until: work.until,
       color: ({ label }) => classColor(work.app.state.project, label),
       newLabel: () => work.draft?.item.image_box.label ?? "",
       onChange(boxes, why, changed, actions) {
@@ -100,9 +101,6 @@ export function createViewsPane(/** @type {Work} */ work) {
     root,
     show,
     editors,
-    destroy() {
-      for (const editor of editors) editor.destroy();
-    },
   };
 }
 
