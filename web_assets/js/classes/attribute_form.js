@@ -21,27 +21,6 @@ const OWNERS = [
   ["frame", "Each frame"],
 ];
 
-/** An attribute in words, such as "whole number 0 to 3, of each track, required, key O". */
-export function describe(
-  /** @type {Attribute} */ { kind, of, choices, minimum, maximum, classes, required, default: usual, key },
-) {
-  const range = [minimum === undefined ? "" : `from ${minimum}`, maximum === undefined ? "" : `to ${maximum}`];
-  const values =
-    kind === "choice"
-      ? `one of ${(choices ?? []).join(", ")}`
-      : KINDS.find(([name]) => name === kind)?.[1].toLowerCase();
-  return [
-    [values, ...range].filter(Boolean).join(" "),
-    `of each ${of ?? "box"}`,
-    classes?.length ? `only ${classes.join(", ")}` : "",
-    required ? "required" : "",
-    usual === undefined ? "" : `default ${textOf(usual)}`,
-    key ? `Alt+${key.toUpperCase()}` : "",
-  ]
-    .filter(Boolean)
-    .join(", ");
-}
-
 const textOf = (/** @type {string | number | boolean | undefined} */ value) => nameOf(value ?? "");
 
 /** A default as typed; what cannot be read is left to the server, whose error says what the attribute takes. */
