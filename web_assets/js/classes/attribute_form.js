@@ -3,7 +3,7 @@
 import { nameOf } from "../attributes.js";
 import { CANCEL, openDialog } from "../dialogs.js";
 import { h } from "../dom.js";
-import { checkbox, field, group, select, ticked } from "../forms.js";
+import { checkbox, field, group, partsOf, select, ticked } from "../forms.js";
 
 /** @type {[Attribute["kind"], string][]} */
 const KINDS = [
@@ -79,7 +79,7 @@ export function attributeForm({ attribute, classes, attributes, change }) {
       name: name.value.trim(),
       kind: kind.value,
       of: of.value,
-      choices: lines(ofChoices.hidden ? "" : choices.value),
+      choices: partsOf(ofChoices.hidden ? "" : choices.value, "\n"),
       minimum: limits.hidden ? undefined : readValue("number", least.value),
       maximum: limits.hidden ? undefined : readValue("number", most.value),
       classes: ofClasses.hidden ? [] : ticked(boxes),
@@ -121,9 +121,3 @@ export function attributeForm({ attribute, classes, attributes, change }) {
     },
   });
 }
-
-const lines = (/** @type {string} */ text) =>
-  text
-    .split("\n")
-    .map((line) => line.trim())
-    .filter(Boolean);

@@ -82,10 +82,10 @@ export function createClassPicker(/** @type {ModeApp} */ app, /** @type {(name: 
   let used = [];
   let picked = "";
   if (app.state.project.classes.length > ALL)
-    byUse(app).then((names) => {
+    void byUse(app).then((names) => {
       used = names;
       show(picked);
-    }, app.toast);
+    });
 
   async function ask() {
     const name = await askClass(app);
