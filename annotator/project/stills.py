@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 
 from scipy.spatial.transform import RigidTransform
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, func, select
 
 from annotator.project.audit.writing import Receipt
 from annotator.project.database.schema import frames, recordings, sightings, stills
@@ -93,6 +93,13 @@ class Stills:
                 for row in found
             )
 
+    def versions(self) -> dict[int, tuple[int, int]]:
+        """For each rig with still objects, what differs once one of them has changed, come or gone."""
+        version = func.count(), func.sum(stills.c.event_id)
+        with self.writer.store.read() as connection:
+            rows = connection.execute(select(stills.c.rig_id, *version).group_by(stills.c.rig_id))
+            return {rig: (number, events) for rig, number, events in rows}
+
     def poses(self, recording_id: int) -> dict[int, RigidTransform]:
         """`T_camera_world` of a recording's frames, by id, with the correction; without those that are not known."""
         query = select(frames.c.id).join(_MOMENTS, _MOMENTS.c.id == frames.c.moment_id)
@@ -123,9 +130,11 @@ class Stills:
         with self.writer.store.write() as connection:
             _keep(connection, found)
 
-    def change(self, parts: Sequence[FramePart], seen: Sequence[Sighting] = ()) -> tuple[Receipt, ...]:
+    def change(
+        self, parts: Sequence[FramePart], seen: Sequence[Sighting] = (), action: str | None = None
+    ) -> tuple[Receipt, ...]:
         """Changes several frames as one action, all or nothing, and keeps sightings with them."""
-        action = new_action()
+        action = action or new_action()
         with self.writer.store.write() as connection:
             of_parts = ((each.frame_id, each.payloads, each.context) for each in parts)
             receipts = tuple(self.writer.to_frame_in(connection, *each, action) for each in of_parts)

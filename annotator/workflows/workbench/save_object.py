@@ -336,13 +336,20 @@ def parts_of_frames(
     """
     uids = [e.uid for _, events in changes for e in events if isinstance(e, LabelChanged | LabelDeleted)]
     drawn, parts = project.labels.drawn_on_images(uids), list[FramePart]()
-    for frame, events in changes:
-        context = replace(context, revision=frame.revision, effort=None if parts else context.effort)
+    for part, (frame, events) in zip(frame_parts(changes, context), changes, strict=True):
         if drawn and any(isinstance(e, LabelChanged | LabelDeleted) and e.uid in drawn for e in events):
-            parts += parts_of(project, read_page(project, frame.id), events, context)
+            parts += parts_of(project, read_page(project, frame.id), events, part.context)
         else:
-            parts.append(FramePart(frame.id, events, context))
+            parts.append(part)
     return parts
+
+
+def frame_parts(changes: Sequence[tuple[StoredFrame, Sequence[Payload]]], context: WriteContext) -> list[FramePart]:
+    """Changes of several frames, each at its revision; the first one has the effort."""
+    return [
+        FramePart(frame.id, events, replace(context, revision=frame.revision, effort=None if nth else context.effort))
+        for nth, (frame, events) in enumerate(changes)
+    ]
 
 
 def _in_other_frames(

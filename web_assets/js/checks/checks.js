@@ -44,9 +44,7 @@ export function mount(root, app, until) {
 
   function show(/** @type {Api.CheckReport} */ { warnings, labels, unreadable, uncounted }) {
     note.textContent =
-      uncounted > 0
-        ? `Counting points: ${count(uncounted, "frame")} left …`
-        : `${count(labels, "box", "boxes")} checked.`;
+      uncounted > 0 ? `Counting points: ${count(uncounted, "frame")} left …` : `${count(labels, "box")} checked.`;
     const failed = unreadable.length
       ? [h("div.error-box", { role: "alert" }, `What cannot be read:\n${unreadable.join("\n")}`)]
       : [];
