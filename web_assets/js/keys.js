@@ -11,15 +11,6 @@
 
 import { leaveField } from "./dom.js";
 
-/**
- * @typedef {object} KeyRow
- * @property {string} id
- * @property {string[]} keys
- * @property {string[]} [shown] what the table shows in place of `keys`.
- * @property {string} label
- * @property {string} group
- */
-
 /** The group whose keys work in all modes; the others are those of Annotate. */
 const EVERYWHERE = "Everywhere";
 /** What happens again and again while its key is held down. */

@@ -208,7 +208,7 @@ export function createCommands(/** @type {Annotate} */ at) {
   /** A box of the next class is placed where the top view was clicked. */
   const placeAt = (/** @type {Vector} */ point) => offer("place", { point, label: at.picker.label });
 
-  /** Adds a box that the server finds; returns its answer, or null if the frame was left. */
+  /** Adds a box of the next class that the server finds; returns its answer, or null if the frame was left. */
   async function offer(/** @type {"place" | "unlabelled"} */ what, /** @type {object} */ body) {
     // not twice by a double click
     if (!canDraw() || isPlacing) return null;
@@ -217,7 +217,7 @@ export function createCommands(/** @type {Annotate} */ at) {
     try {
       /** @type {Api.FitOut & Partial<Api.UnlabelledOut>} */
       const answer = await app.api.post(app.path("frames", id, what), body);
-      const { box, note, label, too_few_points: _, distance: __, ...facts } = answer;
+      const { box, note, too_few_points: _, distance: __, label, ...facts } = answer;
       if (app.state.frame?.frame.id !== id || !at.parts.root.isConnected) return null;
       // one that was offered before, and not taken
       if (what === "unlabelled" && desk.shown?.isNew && desk.uid === standing.uid) desk.drop(desk.uid);
@@ -233,7 +233,8 @@ export function createCommands(/** @type {Annotate} */ at) {
   async function nextUnlabelled() {
     if (app.viewport.showUnlabelled(true)) return;
     const { id } = currentFrame(app).frame;
-    const answer = await offer("unlabelled", { beyond: standing.frame === id ? standing.beyond : 0 });
+    const { beyond } = standing.frame === id ? standing : { beyond: 0 };
+    const answer = await offer("unlabelled", { beyond });
     if (answer === null) return;
     standing = { frame: id, beyond: answer.box ? (answer.distance ?? 0) : 0, uid: answer.box ? desk.uid : null };
     if (answer.box) app.viewport.look("focus");
