@@ -345,6 +345,8 @@ def test_a_page_shows_the_labels_of_its_moment_and_who_sees_them_best_and_hears_
         assert {best, other} == {1, 2} and all(label["seen_by"] == [best, other] for [label] in seen)
         assert seen[best - 1][0]["better_in"] is None
         assert [label["better_in"] for [label] in seen[2:]] == [best, best]
+        sheets = [rig_live.client.get(f"/api/projects/room/frames/{frame}/sheet").text for frame in (best, 3)]
+        assert [uid in sheet for sheet in sheets] == [True, False]
         answer = rig_live.client.get("/api/projects/room/frames/4", params={"best_for": uid})
         assert answer.json()["frame"]["id"] == best
         tracks = rig_live.client.get("/api/projects/room/recordings/2/tracks").json()
