@@ -9,13 +9,13 @@
  */
 
 import { createAttributes } from "../attributes.js";
+import { createNextClass } from "../classes/picker.js";
 import { button, h } from "../dom.js";
 import { createFrameProblem } from "../frame_problem.js";
 import { showHints } from "../messages.js";
 import { addRecordings } from "../start/recordings.js";
 import { createActions } from "./actions.js";
 import { createAreas } from "./areas.js";
-import { createNextClass } from "./class_picker.js";
 import { createCommands } from "./commands.js";
 import { createDesk } from "./desk.js";
 import { createFields } from "./fields.js";
