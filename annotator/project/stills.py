@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import astuple, dataclass
 
+import numpy as np
+from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 from sqlalchemy import Connection, func, select
 
@@ -20,7 +22,7 @@ from annotator.project.database.store import driver_of
 from annotator.project.frames import FRAME_COLUMNS, StoredFrame
 from annotator.project.log import FramePart, Writer, new_action
 from annotator.project.recordings import of_rig
-from annotator.project.rows import Terms, world_box
+from annotator.project.rows import Terms, camera_world, world_box
 from annotator.types import OrientedBox, ReviewState
 
 _MOMENTS = frames.alias()
@@ -105,11 +107,20 @@ class Stills:
 
     def poses(self, recording_id: int) -> dict[int, RigidTransform]:
         """`T_camera_world` of a recording's frames, by id, with the correction; without those that are not known."""
+        matrices = self.pose_matrices(recording_id)
+        # they are rotations already, and to check that takes four times as long
+        return {id: RigidTransform(matrix, normalize=False) for id, matrix in matrices.items()}
+
+    def pose_matrices(
+        self, recording_id: int, among: Collection[int] | None = None
+    ) -> dict[int, Float64[np.ndarray, "4 4"]]:
+        """As `poses`, at a tenth of its time; `among`: ids of frames, None = all."""
         query = select(frames.c.id).join(_MOMENTS, _MOMENTS.c.id == frames.c.moment_id)
         known = query.where(frames.c.recording_id == recording_id, _MOMENTS.c.world.is_not(None))
+        known = known if among is None else known.where(frames.c.id.in_(among))
         with self.writer.store.read() as connection:
             terms = Terms(connection)
-            return {id: terms.T_camera_world(id) for id in connection.execute(known).scalars()}
+            return {id: camera_world(terms.place(id, in_world=True)) for id in connection.execute(known).scalars()}
 
     def unsighted(self, recording_id: int) -> dict[StoredFrame, list[StillObject]]:
         """The frames of a recording's rig whose moments have not been looked at for some still objects, and these."""

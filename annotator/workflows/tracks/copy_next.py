@@ -91,7 +91,7 @@ def _registered(project: Project, label: Label, here: Frame, there: Frame, expec
 def _moved(timeline: Timeline, here: int, label: Label) -> OrientedBox:
     """Returns a label's box moved to the next frame by the motion of its track's last reviewed boxes."""
     if label.track_id is None:
-        return label.box
+        return timeline.moved(label.box, here, here + 1)
     earlier = {
         timeline.index[other.frame_id]: other.label.box
         for other in timeline.project.labels.along(timeline.recording_id, states=REVIEWED, tracks=[label.track_id])
@@ -99,4 +99,5 @@ def _moved(timeline: Timeline, here: int, label: Label) -> OrientedBox:
     }
     known = sorted(earlier)[1 - MOTION_BOXES :]
     boxes = [*(earlier[index] for index in known), label.box]
+    boxes = [timeline.moved(box, index, here + 1) for box, index in zip(boxes, [*known, here], strict=True)]
     return predicted(boxes, timeline.times[np.array([*known, here])].tolist(), float(timeline.times[here + 1]))

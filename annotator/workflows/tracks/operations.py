@@ -40,7 +40,7 @@ from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionErro
 from annotator.types.label import MOST_TRACK, AttributeValue
 from annotator.types.messages import alternatives, amount
 from annotator.workflows.tracks.propose_boxes import Surroundings, changed_box, proposal_events, proposal_like
-from annotator.workflows.tracks.timeline import OpenRecording, Timeline
+from annotator.workflows.tracks.timeline import Motion, OpenRecording, Timeline
 from annotator.workflows.workbench.save_object import frame_parts, parts_of_frames
 
 
@@ -278,14 +278,15 @@ def likeliest(track: Track) -> int | None:
     near = sorted(near)[:MOST_LIKELY]
     along = track.project.labels.along(track.recording_id, tracks=[number for _, number, _, _ in near])
     others = {(each.label.track_id, each.frame_id): each.label for each in along if not is_rejected(each)}
-    costs = dict[int, float]()
+    costs, motion = dict[int, float](), Motion(track.project, track.recording_id)
     for gap, number, here, there in near:
         label, other = own[here], others[number, lanes.frames[there]]
         if other.label == label.label:
             order = mine[mine <= here] if there > here else mine[mine >= here][::-1]
             known = order[-MOTION_BOXES:].tolist()
-            moved = predicted([own[place].box for place in known], [float(place) for place in known], float(there))
-            apart_m = min(float(np.linalg.norm(box.center_m - other.box.center_m)) for box in (label.box, moved))
+            before = [motion.moved(own[at].box, lanes.frames[at], lanes.frames[there]) for at in known]
+            last, moved = before[-1], predicted(before, [float(place) for place in known], float(there))
+            apart_m = min(float(np.linalg.norm(box.center_m - other.box.center_m)) for box in (last, moved))
             costs[number] = apart_m / float(label.box.size_m.max()) + gap / MAX_GAP
     return min(costs, key=lambda number: costs[number], default=None)
 
@@ -372,8 +373,9 @@ class Delete(_OfSpan):
 class Fill(_OfSpan):
     """A box is proposed in each frame that has none and is between two boxes of the track.
 
-    Centre, size and rotation are interpolated by the frames' times if they are recorded, else by their indices. With
-    `refit`, whoever applies it then fits each box to the points of its frame (`refit_run`), which takes longer.
+    Centre, size and rotation are interpolated in the world, by the frames' times if they are recorded, else by their
+    indices. With `refit`, whoever applies it then fits each box to the points of its frame (`refit_run`), which takes
+    longer.
     """
 
     do: Literal["fill"] = "fill"
@@ -387,8 +389,10 @@ class Fill(_OfSpan):
         for (start, before), (end, after) in pairwise(boxes):
             gap = [place for place in range(start + 1, end) if timeline.frames[place].id in track.inside]
             ends = times[start], times[end]
-            new = between(before.label.box, after.label.box, *ends, [times[place] for place in gap])
-            for place, box in zip(gap, new, strict=True):
+            for place in gap:
+                # what stands still in the world does so between them
+                known = timeline.moved(before.label.box, start, place), timeline.moved(after.label.box, end, place)
+                (box,) = between(*known, *ends, [times[place]])
                 # the values of the box that is nearer in time
                 is_later = times[place] - ends[0] > ends[1] - times[place] and after.label.label == before.label.label
                 values = (after if is_later else before).label.attributes
