@@ -203,7 +203,7 @@ def _poses_rows(report: ProjectPoses) -> Iterator[tuple[str, object]]:
     if (sure := report.certainty) is not None:
         yield (
             "certainty",
-            f"overlap {sure.overlap[0]:.2f}, least {sure.overlap[1]:.2f}; distance {1000 * sure.rmse_m:.1f} mm; grip "
+            f"overlap {sure.overlap[0]:.2f}, least {sure.overlap[1]:.2f}; residual {sure.rmse:.4f}; grip "
             f"{sure.grip[0]:.2f}, least {sure.grip[1]:.2f}; no loop closure",
         )
     yield from (("poses", problem) for problem in (*poses.gaps, *poses.jumps, *report.warnings))

@@ -166,22 +166,22 @@ class FramePose(Strict):
 
     Attributes:
         pose: `T_world_camera` of the recorded camera: place, metres, and quaternion w x y z; None = it was not found.
-        overlap, rmse_m, grip: its certainty, as in `annotator.geometry.odometry.Placed`.
+        overlap, rmse, grip: its certainty, as in `annotator.geometry.odometry.Placed`.
     """
 
     key: str
     pose: tuple[Finite, Finite, Finite, Finite, Finite, Finite, Finite] | None
     overlap: Finite
-    rmse_m: Finite
+    rmse: Finite
     grip: Finite
 
     @staticmethod
-    def of(key: str, T: RigidTransform | None, overlap: float, rmse_m: float, grip: float) -> FramePose:
+    def of(key: str, T: RigidTransform | None, overlap: float, rmse: float, grip: float) -> FramePose:
         """Rounds to a hundredth of a millimetre and to a millionth of a degree: there may be 100,000 frames."""
         pose = None
         if T is not None:
             pose = (*T.translation.round(5).tolist(), *T.rotation.as_quat(scalar_first=True).round(8).tolist())
-        return FramePose(key=key, pose=pose, overlap=round(overlap, 3), rmse_m=round(rmse_m, 5), grip=round(grip, 3))
+        return FramePose(key=key, pose=pose, overlap=round(overlap, 3), rmse=round(rmse, 5), grip=round(grip, 3))
 
     def transform(self) -> RigidTransform | None:
         if self.pose is None:

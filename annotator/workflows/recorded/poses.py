@@ -24,10 +24,10 @@ MOST_NAMED = 5
 
 
 class Certainty(Strict):
-    """How sure estimated poses are: the median and the least of what holds the frames, see `odometry.Placed`."""
+    """How sure estimated poses are: the median and the least of what holds the frames (`odometry.Placed`)."""
 
     overlap: tuple[float, float]
-    rmse_m: float
+    rmse: float
     grip: tuple[float, float]
 
 
@@ -88,7 +88,7 @@ def estimate_poses(
                 odometry, T_world_first = Odometry(frame), level_pose(frame.up)
             placed = odometry.add(frame)
         T = None if placed.T_first_camera is None else T_world_first * placed.T_first_camera
-        found.append(FramePose.of(each.key, T, placed.overlap, placed.rmse_m, placed.grip))
+        found.append(FramePose.of(each.key, T, placed.overlap, placed.rmse, placed.grip))
     progress(len(stored), len(stored))
     if sum(each.pose is not None for each in found) < 2:
         raise RecordingError(f"{name}: no two of its frames could be registered; nothing was changed")
@@ -110,7 +110,7 @@ def poses_of(project: Project, recording_id: int) -> ProjectPoses:
     overlap, grip = ([getattr(each, name) for each in placed] for name in ("overlap", "grip"))
     certainty = Certainty(
         overlap=(float(np.median(overlap)), min(overlap)),
-        rmse_m=float(np.median([each.rmse_m for each in placed])),
+        rmse=float(np.median([each.rmse for each in placed])),
         grip=(float(np.median(grip)), min(grip)),
     )
     return ProjectPoses(
