@@ -33,24 +33,24 @@ def generate(
     out: Path,
     /,
     *,
-    preset: Preset | Literal["tour"] = "people",
+    preset: Preset | Literal["tour", "drive"] = "people",
     frames: int = 30,
     seed: Seed = 0,
     width: int = 640,
     height: int = 480,
     drift: float = 0.0,
 ) -> None:
-    """Generate a synthetic RGB-D recording of a room, with exact ground truth in separate files.
+    """Generate a synthetic recording, of an RGB-D camera or of a LiDAR, with exact ground truth in separate files.
 
     Args:
         out: new folder for the recording.
         preset: scene to generate: people who walk, turn and gesture in a room, hands in front of the camera, or objects
-            of many shapes on a table or on the floor; or a tour of a room with twelve objects and three people, by a
-            camera with poses.
+            of many shapes on a table or on the floor; a tour of a room with twelve objects and three people, by a
+            camera with poses; or a drive of a LiDAR with poses, past twenty parked and six moving cars, and walkers.
         frames: number of frames to generate, ten per second.
         width: width of the images, pixels.
         height: height of the images, pixels.
-        drift: by which the poses of a tour are wrong, share of the way, such as 0.01.
+        drift: by which the poses of a tour or drive are wrong, share of the way, such as 0.01.
     """
     with counted("ray-casting") as progress:
         write_generated(out, preset, frames, seed, width, height, progress, drift)

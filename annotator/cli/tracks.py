@@ -22,7 +22,7 @@ from annotator.workflows.tracks.follow_run import follow_recording
 from annotator.workflows.tracks.link import link_tracks
 from annotator.workflows.tracks.operations import apply
 from annotator.workflows.tracks.refit_run import RefitRun, box_fitter
-from annotator.workflows.tracks.still_objects import candidates, find_sightings, make_moving, make_still
+from annotator.workflows.tracks.still_objects import candidates, find_sightings
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ready_view, view_with_classes
 
@@ -258,8 +258,7 @@ def still(
     chosen = project.recordings.find(recording).id
     at = None if frame is None else project.frames.find(chosen, frame).id
     for track in tracks:
-        done = make_still(project, chosen, track, OPERATION_AUTHOR, frame_id=at, dry_run=dry_run)
-        print_line(f"track {track}: {done.words()}{' (nothing was stored)' if dry_run else ''}")
+        _apply(project, chosen, track, operations.StandStill(frame=at), dry_run)
     for track, why in () if tracks else candidates(project, chosen).items():
         print_line(f"track {track} may stand still: {why}")
     if dry_run:
@@ -289,8 +288,7 @@ def moving(
     """
     chosen = project.recordings.find(recording).id
     at = None if frame is None else project.frames.find(chosen, frame).id
-    done = make_moving(project, chosen, track, OPERATION_AUTHOR, frame_id=at, dry_run=dry_run)
-    print_line(f"track {track}: {done.words()}{' (nothing was stored)' if dry_run else ''}")
+    _apply(project, chosen, track, operations.Move(frame=at), dry_run)
 
 
 def _operate(
@@ -308,6 +306,12 @@ def _operate(
         operation = kind.model_validate(given | ids)
     except ValidationError as error:
         raise ConfigError(first_problem(error)) from error
-    done = apply(project, chosen, track, operation, OPERATION_AUTHOR, dry_run=span.dry_run)
-    print_line(f"track {track}: {done.count.words()}{' (nothing was stored)' if span.dry_run else ''}")
+    return _apply(project, chosen, track, operation, span.dry_run)
+
+
+def _apply(
+    project: Project, recording_id: int, track: int, operation: operations.Operation, dry_run: bool
+) -> operations.Done:
+    done = apply(project, recording_id, track, operation, OPERATION_AUTHOR, dry_run=dry_run)
+    print_line(f"track {track}: {done.count.words()}{' (nothing was stored)' if dry_run else ''}")
     return done

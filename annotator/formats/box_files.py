@@ -1,13 +1,13 @@
 """Files of the boxes of many frames: `boxes.json`, and CSV.
 
-`boxes.json` has the ground-truth oriented boxes of an RGB-D folder, by frame.
+`boxes.json` has the ground-truth oriented boxes of an RGB-D folder, or of generated scans, by frame.
 
     {"000012": {"label": "hand", "center": [x, y, z], "size": [l, w, h], "rotation": [[..], [..], [..]]}, ...}
 
-A frame has one object or a list of objects. Metres, camera frame. `rotation` is 3x3, a list of rows; its columns are
-the box's axes. `size` holds the full lengths along them. Optional: `corners` (8x3, checked against the rest) and
-`track` (the object's number in the recording), `score` (of a detector), and `attributes` (values by name). Other keys
-are ignored.
+A frame has one object or a list of objects. Metres, camera frame; of scans, their own. `rotation` is 3x3, a list of
+rows; its columns are the box's axes. `size` holds the full lengths along them. Optional: `corners` (8x3, checked
+against the rest) and `track` (the object's number in the recording), `score` (of a detector), and `attributes` (values
+by name). Other keys are ignored.
 
 A CSV file has upright boxes of many images, for SUN RGB-D labels and detections.
 

@@ -12,7 +12,7 @@ from annotator.project.audit.events import Event, in_moment_of, read_events, reb
 from annotator.project.audit.making import make
 from annotator.project.audit.writing import Receipt, Write, WriteContext
 from annotator.project.changes import Payload, ViewBoxesSet
-from annotator.project.database.schema import ALL_LABELS, events, frames, recordings, sightings, stills
+from annotator.project.database.schema import ALL_LABELS, events, frames, recordings, stills
 from annotator.project.database.store import Store, driver_of
 from annotator.project.recordings import of_rig
 from annotator.project.records import storable
@@ -31,13 +31,6 @@ _CHANGED = (
     .where(events.c.id > bindparam("after"))
     .group_by(frames.c.id)  # SQLite takes the other columns from the row with the maximum
     .order_by(_LAST)
-)
-_STILL_CHANGED = (
-    select(frames.c.id, frames.c.revision, stills.c.author)
-    .join(sightings, sightings.c.moment_id == frames.c.moment_id)
-    .join(stills, stills.c.uid == sightings.c.still)
-    .where(stills.c.event_id > bindparam("after"), sightings.c.seen)
-    .group_by(frames.c.id)
 )
 # By the driver: an operation on a track writes to thousands of frames.
 _FRAME = (
@@ -155,20 +148,14 @@ class Writer:
         with self.store.read() as connection:
             return int(connection.execute(_NEWEST).scalar_one())
 
-    def changed_frames(self, event_id: int, shown: Collection[int] = ()) -> tuple[int, tuple[ChangedFrame, ...]]:
-        """The id of the newest event, and the frames whose moments changed after the event `event_id`.
-
-        Args:
-            shown: frames of which changed still objects matter, too: thousands may see one.
-        """
+    def changed_frames(self, event_id: int) -> tuple[int, tuple[ChangedFrame, ...]]:
+        """The id of the newest event, and the frames whose moments changed after the event `event_id`."""
         with self.store.read() as connection:
             newest = int(connection.execute(_NEWEST).scalar_one())
             if newest <= event_id:
                 return newest, ()
-            rows = [tuple(row[:3]) for row in connection.execute(_CHANGED, {"after": event_id})]
-            seen = _STILL_CHANGED.where(frames.c.id.in_(shown), frames.c.id.not_in([row[0] for row in rows]))
-            rows += map(tuple, connection.execute(seen, {"after": event_id}) if shown else ())
-            return newest, tuple(ChangedFrame(*row) for row in rows)
+            rows = connection.execute(_CHANGED, {"after": event_id})
+            return newest, tuple(ChangedFrame(*row[:3]) for row in rows)
 
     def rebuild(self) -> int:
         """Makes the audited tables anew from all events, of which it returns the number; an intact state stays."""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int16, Int32, UInt8, UInt16
+from jaxtyping import Bool, Float32, Float64, Int16, Int32, UInt8, UInt16
 from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.projection import project
@@ -208,11 +209,7 @@ def scan(
         half_width_rad: half angle of the sector.
         mesh: all meshes, world frame.
     """
-    elevation = np.linspace(lidar.lowest_rad, lidar.highest_rad, lidar.rings)
-    azimuth = np.arange(-half_width_rad, half_width_rad, lidar.step_rad)
-    e, a = (angles.ravel() for angles in np.meshgrid(elevation, azimuth, indexing="ij"))
-    rays = np.stack([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)], axis=1)
-    directions = T_world_lidar.rotation.apply(rays).astype(np.float32)
+    directions = T_world_lidar.rotation.apply(_lidar_rays(lidar, half_width_rad)).astype(np.float32)
     origin = T_world_lidar.translation.astype(np.float32)
     scene = RayScene(mesh.vertices, mesh.triangles)
     hits = scene.first_hits(origin, directions)
@@ -228,6 +225,26 @@ def scan(
         reflectance.astype(np.float32),
         surface.track,
     )
+
+
+@lru_cache(maxsize=4)
+def _lidar_rays(lidar: Lidar, half_width_rad: float) -> Float64[np.ndarray, "n 3"]:
+    """Unit vectors, LiDAR frame."""
+    elevation = np.linspace(lidar.lowest_rad, lidar.highest_rad, lidar.rings)
+    azimuth = np.arange(-half_width_rad, half_width_rad, lidar.step_rad)
+    e, a = (angles.ravel() for angles in np.meshgrid(elevation, azimuth, indexing="ij"))
+    return np.stack([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)], axis=1)
+
+
+def whole_points(lidar: Lidar, T_world_lidar: RigidTransform, mesh: Mesh) -> int:
+    """The number of points that a LiDAR would measure on a mesh if nothing hid it."""
+    vertices = T_world_lidar.inv().apply(mesh.vertices.astype(np.float64))
+    towards = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
+    middle = towards.mean(axis=0)
+    rays = _lidar_rays(lidar, np.pi)
+    rays = rays[rays @ middle >= (towards @ middle).min()].astype(np.float32)
+    hits = RayScene(vertices.astype(np.float32), mesh.triangles).first_hits(np.zeros(3, np.float32), rays)
+    return int(((hits.t > lidar.nearest_m) & (hits.t < lidar.farthest_m)).sum())
 
 
 # Simulation of a colour camera and a depth camera, from an ideal image.

@@ -145,7 +145,7 @@ def people_scene(random: np.random.Generator) -> Scene:
     def moments() -> Iterator[Moment]:
         for walkers in zip(*walks, strict=True):
             both = enumerate(zip(walkers, looks, strict=True), start=1)
-            yield Moment(tuple(_person(track, walker, person) for track, (walker, person) in both))
+            yield Moment(tuple(as_actor(track, walker, person) for track, (walker, person) in both))
 
     return Scene(palette, still, Lights((0.5, 2.1, 2.6)), pose, moments())
 
@@ -184,7 +184,7 @@ def tour_scene(random: np.random.Generator) -> Scene:
     def moments() -> Iterator[Moment]:
         for number, walkers in enumerate(zip(*walks, strict=True)):
             people = tuple(
-                _person(track, walker, person)
+                as_actor(track, walker, person)
                 for track, (walker, person) in enumerate(zip(walkers, looks, strict=True), start=len(still) + 1)
             )
             yield Moment((*still, *people), (), camera(number * PERIOD_S))
@@ -192,7 +192,8 @@ def tour_scene(random: np.random.Generator) -> Scene:
     return Scene(palette, joined(walls), Lights((0.3, 2.1, 2.6)), camera(0.0), moments())
 
 
-def _person(track: int, walker: Walker, looks: Looks) -> Actor:
+def as_actor(track: int, walker: Walker, looks: Looks) -> Actor:
+    """A person at one moment, as an actor."""
     axes = turn("z", walker.yaw)
     mesh = body_mesh(looks, walker.pose).moved(axes, xyz(walker.place[0], walker.place[1], 0)).tracked(track)
     return Actor(track, "person", mesh, axes)

@@ -96,7 +96,7 @@ class Seen:
 
     Attributes:
         label: class name; only boxes of one class are linked.
-        box: camera frame; the camera is assumed to be static or to move uniformly.
+        box: in one frame for all; a camera whose frame it is must be static, or move uniformly.
         given: track id from an operator or a file, or None.
     """
 

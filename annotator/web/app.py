@@ -16,7 +16,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from annotator import __version__
 from annotator.types.errors import ConfigError
-from annotator.web.background import AutomaticBackups, Learner, Watch, preload
+from annotator.web.background import AutomaticBackups, Learner, Sights, Watch, preload
 from annotator.web.context import Context
 from annotator.web.errors import ErrorAnswer, add_error_handlers
 from annotator.web.folders import clear_leftovers
@@ -112,15 +112,14 @@ def create_app(settings: ServerSettings) -> FastAPI:
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         clear_leftovers(settings.projects_root)
-        watch = Watch(context, Learner(context.jobs))
-        watch.start()
-        backups = AutomaticBackups(context)
-        backups.start()
+        beside = Watch(context, Learner(context.jobs)), AutomaticBackups(context), Sights(context)
+        for each in beside:
+            each.start()
         context.jobs.start()
         preload()
         yield
-        watch.close()
-        backups.close()
+        for each in beside:
+            each.close()
         context.close()
 
     app = FastAPI(

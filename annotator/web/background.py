@@ -1,4 +1,5 @@
-"""What a server does beside requests: watches, learns, makes backups, loads ahead and returns memory."""
+"""What a server does beside requests: watches, learns, looks for still objects, makes backups, loads ahead and returns
+memory."""
 
 from __future__ import annotations
 
@@ -21,6 +22,7 @@ from annotator.types.errors import AnnotatorError
 from annotator.web.context import Context
 from annotator.web.jobs.records import TrainRequest
 from annotator.web.jobs.runner import JobRunner
+from annotator.workflows.tracks.still_objects import find_sightings
 from annotator.workflows.training.model_report import decision_of
 from annotator.workflows.warm_up import BOX, warm_frame
 from annotator.workflows.workbench.contact_sheet import picture
@@ -38,6 +40,11 @@ class Periodic:
 
     def start(self) -> None:
         self._thread.start()
+
+    @property
+    def is_ending(self) -> bool:
+        """Whether `close` was called."""
+        return self._ended.is_set()
 
     def close(self) -> None:
         """Ends the thread, and waits for a call that it is making."""
@@ -184,6 +191,50 @@ def _learned(project: Project, reviewed: int) -> int:
         return 0
     decision = decision_of(models[-1])
     return reviewed if decision is None or decision.reviewed is None else decision.reviewed
+
+
+SIGHTS_EVERY_S = 0.5
+
+
+class Sights(Periodic):
+    """Looks which frames see the objects that stand still, in the projects that a page has open: first in the frames
+    around one that is shown. Pages are told as more is found."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__("still objects", SIGHTS_EVERY_S, self.look)
+        self._context = context
+        # the version of each rig's still objects for which all was looked at
+        self._done = WeakKeyDictionary[Project, dict[int, tuple[int, int]]]()
+
+    def look(self) -> None:
+        """Looks at every project that a page has open, until its still objects change or the server ends."""
+        for name in filter(self._context.is_open, self._context.hub.projects()):
+            try:
+                project = self._context.project(name)
+                for rig, version in project.stills.versions().items():
+                    if self._done.setdefault(project, {}).get(rig) != version and self._look(name, project, rig):
+                        self._done[project][rig] = version
+            except AnnotatorError as error:
+                LOG.warning("%s: its still objects could not be looked for: %s", name, error)
+
+    def _look(self, name: str, project: Project, rig: int) -> bool:
+        """Looks in a rig's frames; returns whether it was looked in all of them."""
+        begun = project.stills.versions().get(rig)
+        wait_s, next_s = SIGHTS_EVERY_S, time.monotonic() + SIGHTS_EVERY_S
+
+        def tell(done: int, total: int) -> None:
+            # less and less often: what is near the shown frame was found first
+            nonlocal wait_s, next_s
+            if 0 < done == total or time.monotonic() > next_s:
+                self._context.announcer.tell_still(project)
+                wait_s, next_s = 2 * wait_s, time.monotonic() + 2 * wait_s
+
+        def is_stopped() -> bool:
+            return self.is_ending or project.stills.versions().get(rig) != begun
+
+        shown = [int(frame) for frame in self._context.hub.presence(name)]
+        find_sightings(project, rig, near=next(iter(shown), None), progress=tell, is_stopped=is_stopped)
+        return not is_stopped()
 
 
 WATCH_EVERY_S = 0.5

@@ -16,7 +16,7 @@ from typing import Literal
 from weakref import WeakKeyDictionary
 
 from annotator.project import Project
-from annotator.types.errors import AnnotatorError
+from annotator.types.errors import AnnotatorError, ConfigError
 from annotator.web.errors import INTERNAL
 from annotator.web.hub import Announcer, Hub
 from annotator.web.schemas import Schema
@@ -114,6 +114,12 @@ class FollowRuns:
         with self._lock:
             running = self._runs.get(project, {}).get(operator)
             return None if running is None else running.shown
+
+    def require_none(self, project: Project, operator: str) -> None:
+        """Refuses what would end the operator's run, unless it has ended."""
+        if (latest := self.latest(project, operator)) is not None and latest.state == "running":
+            what = "filled boxes are still being fitted" if latest.direction == "between" else "objects are followed"
+            raise ConfigError(f"{what}; wait for the end, or stop it, and then fit these boxes")
 
     def stop(self, project: Project, operator: str) -> FollowRunJson | None:
         """Stops the operator's run, and waits until its last box is stored; its boxes stay."""

@@ -201,6 +201,7 @@ def _labels(at: InFrame, page: FramePage, opened: OpenFrame) -> list[LabelJson]:
             points=opened.points_in(stored.label.box),
             seen_by=seen.get(stored.label.uid, Sight()).frames,
             better_in=seen.get(stored.label.uid, Sight()).better,
+            still=stored.still is not None,
         )
         for stored, outline in zip(page.labels, outlines, strict=True)
     ]

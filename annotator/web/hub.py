@@ -124,16 +124,18 @@ class Hub:
 
 @dataclass(eq=False)
 class _Told:
-    """What the pages know of a project: its newest event, and who has removed each of its recordings."""
+    """What the pages know of a project: its newest event, who has removed each of its recordings, and the versions of
+    its still objects."""
 
     event: int
     removed_by: dict[int, str | None]
+    stills: dict[int, tuple[int, int]]
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
 class Announcer:
-    """Sends the pages of a project an event for each changed frame, adjusted recording, change of the classes, and
-    added, removed or restored recording, whoever has made it. The log is what knows them."""
+    """Sends the pages of a project an event for each changed frame, adjusted recording, rig whose still objects have
+    changed, change of the classes, and added, removed or restored recording, whoever has made it."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub, self._lock = hub, threading.Lock()
@@ -142,7 +144,7 @@ class Announcer:
 
     def begin(self, project: Project) -> None:
         """To be called before a page of the project joins, which then reads what there is, and is told what comes."""
-        now = _Told(project.log.last(), project.recordings.removed_by())
+        now = _Told(project.log.last(), project.recordings.removed_by(), project.stills.versions())
         with self._lock:
             if project not in self._told or project.path.name not in self._hub.projects():
                 self._told[project] = now
@@ -155,8 +157,8 @@ class Announcer:
             return
         # in order, and once: both the thread of a change and the one that watches come here
         with told.lock:
-            shown = [int(frame) for frame in self._hub.presence(project.path.name)]
-            newest, changed = project.log.changed_frames(told.event, shown)
+            newest, changed = project.log.changed_frames(told.event)
+            stills = project.stills.versions() if changed else told.stills
             adjusted = project.adjustments.since(told.event) if changed else ()
             classes = project.class_changes(told.event) if newest > told.event else []
             removed_by = project.recordings.removed_by()
@@ -169,7 +171,13 @@ class Announcer:
                     self._send(project, "recordings", remover or operator, recording=recording)
             for made in classes:
                 self._send(project, "classes", made.author, renamed=dict(made.renamed))
-            told.event, told.removed_by = newest, removed_by
+            if stills != told.stills:
+                self.tell_still(project)
+            told.event, told.removed_by, told.stills = newest, removed_by, stills
+
+    def tell_still(self, project: Project) -> None:
+        """Sends that frames show other objects that stand still, or show them elsewhere."""
+        self._hub.send({"type": "still", "project": project.path.name})
 
     def _send(self, project: Project, kind: str, operator: str, **fields: object) -> None:
         self._hub.send({"type": kind, "project": project.path.name, "operator": operator, **fields})

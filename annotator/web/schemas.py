@@ -187,7 +187,8 @@ class LabelJson(LabelValues):
     `measured_by` names the base detector if it measured the proposal; `box_kind` is what the box encloses; `kept`: a
     proposal that passes of the detectors do not replace, because a person has set values of it; `heading_beside`: the
     heading of the box before it in its track, or else after it, as a unit vector. `seen_by`: the frames of the cameras
-    of a rig that see it, the best first; `better_in`: where it is seen, if this camera sees it not, or much worse.
+    of a rig that see it, the best first; `better_in`: where it is seen, if this camera sees it not, or much worse;
+    `still`: it stands still, and has one box in all frames.
     """
 
     uid: str
@@ -208,6 +209,7 @@ class LabelJson(LabelValues):
     points: int
     seen_by: tuple[int, ...]
     better_in: int | None
+    still: bool
 
 
 class FrameJson(Schema):

@@ -108,6 +108,8 @@ interface Messages {
   follow: { run: Api.FollowRunJson };
   /** A recording has another up direction or calibration. */
   adjusted: { recording: number; adjusted: number; operator: string };
+  /** Frames show other objects that stand still, or show them elsewhere. */
+  still: object;
   /** The classes or attributes have changed; `renamed`: old name of a class -> new name. */
   classes: { renamed: Record<string, string>; operator: string };
   replaced: { project: string };
@@ -171,7 +173,8 @@ type RequestOptions = { signal?: AbortSignal };
 type EffortCounter = ReturnType<typeof import("../../web_assets/js/effort.js").createEffort>;
 type Events = ReturnType<typeof import("../../web_assets/js/events.js").createEvents>;
 type Keys = ReturnType<typeof import("../../web_assets/js/keys.js").createKeys>;
-type KeyHandler = (event: KeyboardEvent, key: string) => unknown;
+/** `key`: its name as in the table; "" for a button. */
+type KeyHandler = (key: string) => unknown;
 type Frames = ReturnType<typeof import("../../web_assets/js/frame_state.js").createFrameState>;
 type Viewport = ReturnType<typeof import("../../web_assets/js/viewport.js").createViewport>;
 type ViewportBar = ReturnType<typeof import("../../web_assets/js/viewport_bar.js").createViewportBar>;
@@ -264,7 +267,6 @@ type Overlay = {
 };
 
 type EditKind = "draw" | "move" | "resize" | "nudge" | "delete" | "accept";
-type Editor = ReturnType<typeof import("../../web_assets/js/editor2d/editor.js").createEditor>;
 type View = ReturnType<typeof import("../../web_assets/js/editor2d/geometry.js").createView>;
 
 interface EditorOptions {
@@ -279,61 +281,100 @@ interface EditorOptions {
   single?: boolean;
   /** Whether a drag draws a box; by default it does. */
   canDraw?: () => boolean;
-  /** Whether a box was asked for: if not, a drag draws one all the same, but no lines show where, and Insert does not. */
+  /** Whether a box was asked for: if not, a drag draws one all the same, but no lines show where. */
   isAsked?: () => boolean;
   /** A drag with a shorter side draws no box, CSS pixels; 0 by default. */
   leastDraw?: number;
-  canDelete?: boolean;
   /** Boxes end at the picture's border; true by default. */
   clip?: boolean;
   /** Called after each finished change; `actions` is the number of key presses or drags. */
   onChange?: (boxes: EditorBox[], why: EditKind, index: number, actions: number) => unknown;
   /** Called while dragging, before the change is finished. */
   onDrag?: (boxes: EditorBox[], index: number) => unknown;
-  /** Called by Enter; true if it did something. */
-  onEnter?: () => boolean;
   /** Called with the index of the selected box; -1: none. */
   onSelect?: (index: number) => unknown;
-  /** Called by the rotation handle, which is there with this; a positive angle turns x towards y. The editor shows the turn until setBoxes. */
-  onRotate?: (angleRad: number, isFinal: boolean) => unknown;
-  /** Called by the handle on the line of sight, like `onRotate`. */
-  onSlide?: (metres: number, isFinal: boolean) => unknown;
+  /** Called when a drag has ended, also without a change, and after `onChange`. */
+  onEnd?: () => unknown;
+  /**
+   * Called while a handle is pulled; without it there is none. "turn": radians, positive from x towards y; "slide":
+   * metres along `sight`. The editor draws the box so until setBoxes.
+   */
+  onPull?: (handle: PullHandle, by: number, isFinal: boolean) => unknown;
   /** Called by a click within the outline of an overlay with an id, but in no box. */
   onOverlay?: (id: string) => unknown;
 }
 
-/** The part of an editor that its gestures use. */
-interface EditorInside {
-  root: HTMLElement;
-  view: View;
+type PullHandle = "turn" | "slide";
+
+interface Editor {
+  readonly root: HTMLElement;
+  /** window = offset + (px + 0.5) * scale, CSS pixels of `root`. */
+  readonly view: View;
   /** Of the window, CSS pixels; `border` is its outer width. */
-  size: Size & { border: number };
-  options: EditorOptions;
-  readonly boxes: EditorBox[];
-  readonly selected: number;
-  readonly overlays: Overlay[];
+  readonly size: Size & { border: number };
+  readonly options: EditorOptions;
+  /** Changed only as a whole. */
+  boxes: EditorBox[];
+  selected: number;
+  overlays: Overlay[];
   /** The line of sight, px of the picture for each metre, along which a handle moves the box. */
-  readonly sight: Point | null;
+  sight: Point | null;
+  isReadonly: boolean;
+  /** Where the pointer is, in the window. */
+  cross: Point | null;
+  /** How far a handle of the selected box is pulled. */
+  pulled: { handle: PullHandle; by: number } | null;
+
+  // for its gestures
   redraw(): void;
-  flush(): void;
-  isReadonly(): boolean;
   canDraw(): boolean;
   limits(): Rect;
-  newBox(): { label: string };
-  select(index: number): void;
   setCross(point: Point | null, px?: Point): void;
-  restore(before: { boxes: EditorBox[]; selected: number }): void;
-  replace(list: EditorBox[], index: number): void;
+  /** Shows boxes as a drag makes them. */
+  show(boxes: EditorBox[], selected: number): void;
+  /** Shows a box as a drag makes it. */
   put(index: number, box: EditorBox): void;
-  commit(why: EditKind, index: number): void;
-  turn(angleRad: number, isFinal: boolean): void;
-  slide(metres: number, isFinal: boolean): void;
-  accept(index: number): void;
+  commit(why: EditKind, index: number, actions?: number): void;
+  pull(handle: PullHandle, by: number, isFinal: boolean): void;
+  select(index: number): void;
+
+  /**
+   * Shows a picture of width x height px, or none (null). The previous picture stays until the new one is decoded, and
+   * the zoom stays if the size does. Resolves when it is on the screen; to false if a later call has replaced it.
+   */
+  setPicture(url: string | null, width?: number, height?: number): Promise<boolean>;
+  /** New boxes; a drag in progress is cancelled. */
+  setBoxes(list: EditorBox[], index?: number): void;
+  setOverlays(overlays: Overlay[], sight?: Point | null): void;
+  setReadonly(value: boolean): void;
+  fit(): void;
+  deleteSelected(): void;
+  /** Cancels the drag; false if there is none. */
+  cancel(): boolean;
+  /** Several presses of arrow keys in quick succession count as one change: ends it. */
+  flush(): void;
+  /** True during a drag, and while key presses are collected into one change; setBoxes must not be called then. */
+  readonly isDragging: boolean;
+  destroy(): void;
+}
+
+/** What listens to pointers: an editor, or a map. px are of what `view` calls the picture. */
+interface PointerHost {
+  root: HTMLElement;
+  size: Size & { border?: number };
+  view: Pick<View, "toPicture" | "panBy" | "zoomAbout">;
+  redraw(): void;
+  hit(px: Point, event: PointerEvent): Hit;
+  begin(hit: Hit, px: Point, point: Point): Gesture;
+  onEnd?(): unknown;
+  flush?(): void;
+  setCross?(point: Point | null, px?: Point): void;
+  isAsked?(): boolean;
 }
 
 /** The thing under a pointer; the sides are -1, 0 or 1. */
 type Hit = {
-  kind: "rotate" | "slide" | "resize" | "move" | "draw" | "nothing";
+  kind: PullHandle | "resize" | "move" | "draw" | "nothing";
   index: number;
   sideX?: number;
   sideY?: number;
@@ -418,12 +459,20 @@ interface Work {
 }
 
 /** A change of a frame. Its body is made when it is sent, from the frame's state at that time. */
-type FrameChange = {
+type FrameChange<T = any> = {
   path: string[];
   body: (state: FrameState) => object;
-  /** The operator's version, for the question in stale.js. */
-  mine: (state: FrameState) => Mine;
-  done?: (answer: Api.SaveOut) => void;
+  /** The frame's state in the answer, which is that state by default; null: it has none. */
+  stateOf?: (answer: T) => FrameState | null;
+  /** The operator's version, for the question in stale.js; without it, nobody is asked. */
+  mine?: (state: FrameState) => Mine;
+  /** It is sent once more if others have changed the frame: it changes nothing of theirs. */
+  isSentAgain?: boolean;
+  /** The older revision on which it is based, if others have changed the same since. */
+  base?: () => number | undefined;
+  /** The change that is sent in its place if its track is taken; null: none. */
+  instead?: (error: TrackTakenError, state: FrameState) => Promise<FrameChange<T> | null>;
+  done?: (answer: T) => void;
   /** The change is not sent before this resolves. */
   after?: Promise<unknown>;
   item?: Item;
@@ -445,6 +494,34 @@ type StepLoader = ReturnType<typeof import("../../web_assets/js/annotate/draft.j
 type Suggester = ReturnType<typeof import("../../web_assets/js/annotate/suggestions.js").createSuggester>;
 type WholeBoxes = ReturnType<typeof import("../../web_assets/js/annotate/suggestions.js").createWholeBoxes>;
 type Teach = ReturnType<typeof import("../../web_assets/js/annotate/teach.js").createTeach>;
+
+/** The parts of Annotate, which use each other once all are there; js/annotate/annotate.js makes them. */
+interface Annotate {
+  app: ModeApp;
+  /** The elements of its panels. */
+  parts: ReturnType<typeof import("../../web_assets/js/annotate/annotate.js").layout>;
+  desk: Desk;
+  queue: Queue;
+  opening: Opening;
+  preload: ReturnType<typeof import("../../web_assets/js/annotate/preload.js").createPreload>;
+  areas: ReturnType<typeof import("../../web_assets/js/annotate/areas.js").createAreas>;
+  picker: ReturnType<typeof import("../../web_assets/js/annotate/class_picker.js").createNextClass>;
+  sheet: ReturnType<typeof import("../../web_assets/js/annotate/sheet.js").createSheet>;
+  tracks: ReturnType<typeof import("../../web_assets/js/annotate/tracks.js").createTracks>;
+  follow: ReturnType<typeof import("../../web_assets/js/annotate/follow.js").createFollow>;
+  image: ReturnType<typeof import("../../web_assets/js/annotate/image_panel.js").createImagePanel>;
+  scene: ReturnType<typeof import("../../web_assets/js/annotate/scene.js").createScene>;
+  map: ReturnType<typeof import("../../web_assets/js/annotate/map.js").createMap>;
+  ortho: ReturnType<typeof import("../../web_assets/js/annotate/ortho_views.js").createOrthoViews>;
+  teach: Teach;
+  attributes: ReturnType<typeof import("../../web_assets/js/attributes.js").createAttributes>;
+  commands: ReturnType<typeof import("../../web_assets/js/annotate/commands.js").createCommands>;
+  actions: ReturnType<typeof import("../../web_assets/js/annotate/actions.js").createActions>;
+  /** Shows what is being drawn on the pseudo-views in all parts. */
+  showDrawn(): void;
+  /** Goes to the camera that sees a box of the moment best. */
+  showBest(uid: string): void;
+}
 
 // -- Annotate: boxes
 

@@ -304,7 +304,7 @@ def test_a_track_is_said_to_stand_still_and_to_move(own_copy: Callable[[str], Pa
     assert "(nothing was stored)" in run("tracks still room people 1 --dry-run")
     said = run("tracks still room people 1 --frame 000002")
     assert "track 1 (person) stands still, seen in" in said
-    assert "makes" in run("tracks moving room people 1 --frame 000002")
+    assert "proposes" in run("tracks moving room people 1 --frame 000002")
     assert "does not stand still" in run("tracks moving room people 1", code=2)
 
 

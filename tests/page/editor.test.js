@@ -116,7 +116,7 @@ const editorOf = (boxes, more = {}) => ({
   sight: null,
   options: {},
   canDraw: () => true,
-  isReadonly: () => false,
+  isReadonly: false,
   ...more,
 });
 
@@ -129,9 +129,9 @@ test("what lies under the pointer", () => {
   assert.equal(hit([220, 80]), "draw", "only a selected box is moved");
   assert.equal(hit([100, 90], true), "draw", "Shift draws over it");
   assert.equal(hitTest(editor, [40, 90], "touch").kind, "resize", "a finger reaches farther");
-  assert.equal(hitTest(editorOf([BOX], { isReadonly: () => true }), [100, 90], "mouse").kind, "nothing");
-  const turning = editorOf([BOX], { options: { onRotate() {} } });
-  assert.ok([...Array(60).keys()].some((up) => hitTest(turning, [100, 60 - up], "mouse").kind === "rotate"));
+  assert.equal(hitTest(editorOf([BOX], { isReadonly: true }), [100, 90], "mouse").kind, "nothing");
+  const turning = editorOf([BOX], { options: { onPull() {} } });
+  assert.ok([...Array(60).keys()].some((up) => hitTest(turning, [100, 60 - up], "mouse").kind === "turn"));
 });
 
 test("zooming keeps the pixel under the pointer, and a strip of the picture stays in the window", () => {

@@ -26,21 +26,22 @@ export function freshStorage(kept = {}) {
 export function fakeApp({ state = {}, ...api } = {}) {
   const told = [];
   const effort = { actions: 0, action: (n = 1) => (effort.actions += n) };
+  const values = createState({
+    operator: "Ada",
+    frame: null,
+    jobs: [],
+    project: null,
+    route: { project: "room" },
+    ...state,
+  });
   return {
     told,
     effort,
     api,
-    state: createState({
-      operator: "Ada",
-      frame: null,
-      jobs: [],
-      project: null,
-      route: { project: "room" },
-      ...state,
-    }),
+    state: values,
     path: (...parts) => parts.join("/"),
     toast: (message) => told.push(message instanceof Error ? message.message : message),
-    frames: { take: () => true },
+    frames: { take: () => true, of: async () => values.frame },
   };
 }
 

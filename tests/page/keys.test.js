@@ -15,7 +15,7 @@ function keysIn(mode, ...ids) {
   let listener = null;
   keys.setMode(mode);
   keys.listen({ addEventListener: (_, fn) => (listener = fn) });
-  keys.register(Object.fromEntries(ids.map((id) => [id, (_, key) => void told.push(`${id} ${key}`)])));
+  keys.register(Object.fromEntries(ids.map((id) => [id, (key) => void told.push(`${id} ${key}`)])));
   const press = (key, { target = {}, code = "", ...more } = {}) => {
     const event = { key, code, defaultPrevented: false, composedPath: () => [target], ...more };
     event.preventDefault = () => (event.defaultPrevented = true);
@@ -92,14 +92,21 @@ test("what is typed into a field belongs to it", () => {
   assert.equal(press("x", { target: button }), true);
 });
 
-test("no two rows have the same key in a mode", () => {
-  for (const mode of ["annotate"]) {
-    const all = KEYS.filter(({ modes }) => modes === null || modes.includes(mode)).flatMap(({ keys }) => keys);
-    assert.deepEqual(
-      all.filter((key, i) => all.indexOf(key) !== i),
-      [],
-    );
+test("no two rows have the same key", () => {
+  const all = KEYS.flatMap(({ keys }) => keys);
+  assert.deepEqual(
+    all.filter((key, i) => all.indexOf(key) !== i),
+    [],
+  );
+});
+
+test("a key that is held down acts once, but steps go on", () => {
+  const { press, told } = keysIn("annotate", "accept", "next-frame");
+  for (const repeat of [false, true, true]) {
+    assert.equal(press(" ", { repeat }), true);
+    press("n", { repeat });
   }
+  assert.deepEqual(told, ["accept Space", "next-frame N", "next-frame N", "next-frame N"]);
 });
 
 test("a class has its own colour, or one by its place; an unknown one is grey", () => {

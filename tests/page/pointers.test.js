@@ -26,13 +26,13 @@ async function editorOf(options = {}) {
     color: () => "#ffffff",
     newLabel: () => "person",
     onChange: (boxes, why, index, actions) => log.push({ why, index, actions, boxes }),
-    onRotate: (angle, isFinal) => isFinal && log.push({ why: "rotate", angle }),
+    onPull: (why, by, isFinal) => isFinal && log.push({ why, by }),
     onOverlay: (id) => log.push({ why: "overlay", id }),
     ...options,
   });
   await editor.setPicture("a.png", WIDTH, HEIGHT);
   const point = ([x, y]) => {
-    const { scale, offset } = editor.transform;
+    const { scale, offset } = editor.view;
     return [offset[0] + (x + 0.5) * scale, offset[1] + (y + 0.5) * scale];
   };
   const send = (type, [clientX, clientY], more = {}) =>
@@ -53,7 +53,7 @@ async function editorOf(options = {}) {
   const click = (px) => {
     for (const type of ["pointerdown", "pointerup"]) send(type, point(px));
   };
-  const key = (name, more = {}) => editor.key({ key: name, ...more });
+  const key = (name, more) => editor.root.dispatchEvent(Object.assign(new Event("keydown"), { key: name, ...more }));
   const set = (boxes, selected = 0) => editor.setBoxes(boxes, selected);
   const whys = () => log.splice(0).map(({ why }) => why);
   return { editor, log, point, send, drag, click, key, set, whys, edges: (index = 0) => edges(editor.boxes[index]) };
@@ -64,11 +64,11 @@ test("a drag stores its start and end at every zoom, and the pixel under the poi
   for (const wanted of [0.75, 4, 25]) {
     const before = it.point([150, 110]);
     it.send("pointermove", before);
-    const isTooSmall = () => it.editor.transform.scale < wanted;
+    const isTooSmall = () => it.editor.view.scale < wanted;
     const [wasTooSmall, deltaY] = [isTooSmall(), isTooSmall() ? -120 : 120];
     for (let i = 0; i < 60 && isTooSmall() === wasTooSmall; i += 1) it.send("wheel", before, { deltaY });
     near(it.point([150, 110]), before);
-    const reach = Math.min(60, 150 / it.editor.transform.scale);
+    const reach = Math.min(60, 150 / it.editor.view.scale);
     const [start, end] = [
       [150 - reach, 110 - 0.7 * reach],
       [150 + 0.8 * reach + 0.3, 110 + reach],
@@ -80,7 +80,7 @@ test("a drag stores its start and end at every zoom, and the pixel under the poi
   }
 });
 
-test("a box is resized at its edge, moved inside, put back by Escape, selected by a click and deleted", async () => {
+test("a box is resized at its edge, moved inside, put back when it is cancelled, selected by a click and deleted", async () => {
   const it = await editorOf();
   for (const [grab, drop, wanted, why] of [
     [[50, 90], [42, 97], [42, 60, 150, 120], "resize"],
@@ -95,13 +95,13 @@ test("a box is resized at its edge, moved inside, put back by Escape, selected b
   it.send("pointerdown", it.point([100, 90]));
   it.send("pointermove", it.point([140, 130]));
   near(it.edges(), [90, 100, 190, 160]);
-  it.key("Escape");
+  it.editor.cancel();
   it.send("pointerup", it.point([10, 10]));
   assert.deepEqual([it.edges(), it.whys()], [[50, 60, 150, 120], []]);
   it.set([box(20, 20, 80, 90), box(120, 30, 200, 160)], 1);
   it.click([50, 60]);
   assert.equal(it.editor.selected, 0);
-  it.key("Delete");
+  it.editor.deleteSelected();
   assert.deepEqual([it.edges(), it.whys()], [[120, 30, 200, 160], ["delete"]]);
 });
 
@@ -163,21 +163,20 @@ test("a suggestion is accepted by a click, corrected by a drag, and replaced by 
 test("the rotation handle counts clockwise angles as positive", async () => {
   const it = await editorOf();
   it.set([box(110, 100, 210, 160)]);
-  const up = ROTATE_ARM / it.editor.transform.scale;
+  const up = ROTATE_ARM / it.editor.view.scale;
   it.drag([160, 100 - up], [220, 130]);
-  assert.ok(Math.abs(it.log.at(-1).angle - Math.PI / 2) < 0.01);
-  assert.deepEqual(it.whys(), ["rotate"]);
+  assert.ok(Math.abs(it.log.at(-1).by - Math.PI / 2) < 0.01);
+  assert.deepEqual(it.whys(), ["turn"]);
 });
 
 test("the handle on the line of sight counts metres along it, whatever the pointer does across it", async () => {
-  const metres = [];
-  const it = await editorOf({ onRotate: undefined, onSlide: (by, isFinal) => isFinal && metres.push(by) });
-  it.editor.setSight([0, -40]);
+  const it = await editorOf();
   it.set([box(110, 100, 210, 160)]);
-  const up = 20 / it.editor.transform.scale;
-  it.drag([160, 100 - up], [175, 100 - up - 60]);
-  near(metres, [1.5]);
-  assert.deepEqual(it.whys(), []);
+  const down = 20 / it.editor.view.scale;
+  it.editor.setOverlays([], [0, 40]);
+  it.drag([160, 160 + down], [175, 160 + down + 60]);
+  near([it.log.at(-1).by], [1.5]);
+  assert.deepEqual(it.whys(), ["slide"]);
 });
 
 test("one finger draws, and two fingers zoom", async () => {
@@ -185,7 +184,7 @@ test("one finger draws, and two fingers zoom", async () => {
   const touch = (type, pointerId, at) => it.send(type, at, { pointerId, pointerType: "touch" });
   it.drag([40, 50], [180, 140], { pointerType: "touch" });
   near(it.edges(), [40, 50, 180, 140]);
-  const { scale } = it.editor.transform;
+  const { scale } = it.editor.view;
   const [[x, y], [u, v]] = [it.point([100, 120]), it.point([200, 120])];
   touch("pointerdown", 1, [x, y]);
   touch("pointerdown", 2, [u, v]);
@@ -193,7 +192,7 @@ test("one finger draws, and two fingers zoom", async () => {
   touch("pointermove", 2, [u + 100, v]);
   touch("pointerup", 1, [x - 100, y]);
   touch("pointerup", 2, [u + 100, v]);
-  assert.ok(Math.abs(it.editor.transform.scale / scale - (u - x + 200) / (u - x)) < 1e-6);
+  assert.ok(Math.abs(it.editor.view.scale / scale - (u - x + 200) / (u - x)) < 1e-6);
   near(it.edges(), [40, 50, 180, 140]);
   assert.deepEqual(it.whys(), ["draw"]);
 });

@@ -4,6 +4,7 @@ import assert from "node:assert/strict";
 import { beforeEach, mock, test } from "node:test";
 import { ApiError } from "../../web_assets/js/errors.js";
 import { createFrameState } from "../../web_assets/js/frame_state.js";
+import { createCommands } from "../../web_assets/js/annotate/commands.js";
 import { createDesk } from "../../web_assets/js/annotate/desk.js";
 import { createOpening } from "../../web_assets/js/annotate/opening.js";
 import { createPreload } from "../../web_assets/js/annotate/preload.js";
@@ -265,7 +266,7 @@ test("another track is no new review of the box, and a box that others have dele
   desk.preview({ box: LONGER });
   app.state.frame = frameState(5, []);
   desk.settle();
-  assert.deepEqual(app.told, ["Another operator has deleted the box that you were changing."]);
+  assert.deepEqual(app.told, ["The box that you were changing was deleted elsewhere."]);
   assert.equal(desk.uid, null);
 });
 
@@ -301,27 +302,122 @@ test("a draft of a box that others have changed meanwhile is sent as one of the 
   assert.equal(sent.at(-1), 9);
 });
 
+// -- going on before a decision is saved
+
+/** Annotate in its queue, on the first of frames 1, 2, ..., which have a proposal each: "a", "b", ...; all are known. */
+async function reviewOf(uids, change) {
+  const values = new Map();
+  globalThis.sessionStorage = {
+    setItem: (name, value) => values.set(name, value),
+    getItem: (name) => values.get(name),
+    removeItem: (name) => values.delete(name),
+  };
+  const label = { label: "person", box: BOX, track_id: null, state: "proposed", better_in: null, doubt: 0 };
+  const stateOf = (id, revision = 3, state = "proposed") =>
+    frameState(revision, [{ ...label, uid: uids[id - 1], state }], id);
+  const get = async (path) => {
+    if (!path.startsWith("queue")) return stateOf(Number(path.match(/\d+/)[0]));
+    return path === "queue/sources" ? {} : { items: uids.map((uid, i) => item(uid, i + 1)), remaining: uids.length };
+  };
+  const app = fakeApp({ get, change: (path, body) => change(path, body, stateOf) });
+  app.frames = createFrameState(app);
+  Object.assign(app, {
+    loadFrame: (id, bestFor) => app.frames.open(id, bestFor),
+    mayLeave: async () => true,
+    go: (hash) => (app.address = hash),
+  });
+  app.state.route = parseHash("#/room/annotate");
+  app.state.project = { name: "room" };
+  const [desk, queue] = [createDesk(app), createQueue(app, () => {})];
+  const opening = createOpening(app, { desk, queue, onLoading() {}, onProblem() {} });
+  app.state.on("frame", (frame) => {
+    if (!frame) return;
+    desk.settle();
+    queue.settle(frame);
+  });
+  const teach = { accept: () => false, unsaved: null };
+  const at = { app, desk, queue, opening, teach, image: { isBusy: false }, parts: { root: { isConnected: true } } };
+  const { keys } = createCommands({ ...at, areas: {} });
+  await opening.begin();
+  for (const [i, uid] of uids.entries()) await app.frames.prepare(i + 1, uid);
+  return { app, queue, press: () => keys.accept(""), stateOf };
+}
+
+test("the queue's next box is there before the one before is saved, and each press means the box on the screen", async () => {
+  const [answers, sent] = [[held(), held()], []];
+  const { app, queue, press, stateOf } = await reviewOf(["a", "b", "c"], (path, { revision, changes }) => {
+    sent.push([path, revision, changes[0].uid]);
+    return answers[sent.length - 1].promise;
+  });
+  const first = press();
+  await settled();
+  assert.deepEqual([app.state.frame.frame.id, app.address], [2, "#/room/annotate/2"]);
+  const second = press();
+  await settled();
+  assert.equal(app.state.frame.frame.id, 3);
+  assert.deepEqual(sent, [["frames/1/changes", 3, "a"]]);
+  answers[0].resolve(stateOf(1, 4, "accepted"));
+  answers[1].resolve(stateOf(2, 4, "accepted"));
+  await Promise.all([first, second]);
+  assert.deepEqual(sent[1], ["frames/2/changes", 3, "b"]);
+  assert.deepEqual([queue.items.map(({ uid }) => uid), queue.remaining], [["c"], 1]);
+});
+
+test("what is refused is shown again, the first one if there are several, and all are in the queue", async () => {
+  const [answer, sent] = [held(), []];
+  const { app, queue, press } = await reviewOf(["a", "b", "c"], (_, { changes }) => {
+    sent.push(changes[0].uid);
+    return answer.promise;
+  });
+  const presses = [press(), settled().then(press)];
+  await settled();
+  await settled();
+  assert.equal(app.state.frame.frame.id, 3);
+  assert.deepEqual(
+    queue.items.map(({ uid }) => uid),
+    ["c"],
+  );
+  answer.reject(new ApiError(0, "", "The server does not respond"));
+  await Promise.all(presses);
+  assert.deepEqual([sent, app.state.frame.frame.id, app.address], [["a", "b"], 1, "#/room/annotate/1"]);
+  assert.deepEqual(app.told, Array(2).fill("The server does not respond"));
+  assert.deepEqual(queue.items.map(({ uid }) => uid).sort(), ["a", "b", "c"]);
+  assert.equal(queue.remaining, 3);
+});
+
 // -- other things that are waited for
 
 test("nothing is loaded ahead while a sheet is open", async () => {
   globalThis.Image = class {
     decode = async () => {};
   };
-  const asked = [];
-  const get = async (path) => {
-    asked.push(path);
-    return frameState(1, [], 2);
-  };
-  const app = fakeApp({ get, state: { frame: frameState(1) } });
-  app.frames = createFrameState(app);
-  const preload = createPreload(app, { uid: "now", stored: () => null }, { after: () => item("next", 2) });
+  const { asked, preload, opening, shown } = preloadOf();
   const release = preload.hold();
   await preload.start();
   assert.deepEqual(asked, []);
   release();
   await settled();
-  assert.deepEqual(asked, ["frames/2?best_for=next"]);
+  assert.deepEqual([asked, shown], [["frames/3", "frames/2?best_for=next"], [3]], "the frame beside is the likeliest");
+  asked.length = 0;
+  opening.inQueue = true;
+  await preload.start();
+  assert.deepEqual([asked, shown], [[], [3, 2]], "what is known is not read again");
 });
+
+function preloadOf() {
+  const [asked, shown] = [[], []];
+  const get = async (path) => {
+    asked.push(path);
+    return frameState(1, [], Number(path.match(/\d+/)[0]));
+  };
+  const viewport = { prepare: (frame) => shown.push(frame), idle: async () => {} };
+  const app = { ...fakeApp({ get, state: { frame: frameState(1) } }), viewport };
+  app.frames = createFrameState(app);
+  const opening = { beside: 3, inQueue: false };
+  const desk = { uid: "now", stored: () => null };
+  const preload = createPreload(app, desk, { after: () => item("next", 2) }, opening);
+  return { asked, shown, preload, opening };
+}
 
 test("what is heard of a job is newer than answers about it", async () => {
   const { promise, resolve } = held();

@@ -13,7 +13,7 @@ import {
 } from "../../web_assets/js/annotate/draft.js";
 import { objectChange } from "../../web_assets/js/annotate/objects.js";
 import * as items from "../../web_assets/js/annotate/items.js";
-import { createSaver } from "../../web_assets/js/annotate/saver.js";
+import { createSaver, createSender } from "../../web_assets/js/annotate/saver.js";
 import { fakeApp, frameState, held, settled } from "./fakes.js";
 
 const box = (left, top, right, bottom, more = {}) => {
@@ -123,8 +123,11 @@ function saverOf(change) {
   const app = fakeApp({ change, state: { frame: frameState(3) } });
   app.frames.take = (state) => (app.state.frame = state);
   const busy = [];
-  const desk = { enqueue: (send) => send() };
-  const saver = createSaver(app, desk, { onSaved() {}, onDropped() {}, onBusy: (is) => busy.push(is) });
+  const saver = createSaver(
+    app,
+    createSender(app, () => {}),
+    { onSaved() {}, onDropped() {}, onBusy: (is) => busy.push(is) },
+  );
   return { app, saver, busy };
 }
 

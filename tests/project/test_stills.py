@@ -169,18 +169,6 @@ def test_a_project_of_version_1_is_upgraded(posed: Project, tmp_path: Path) -> N
     assert verify(posed.path, deep=True).problems == ()
 
 
-def test_pages_hear_of_a_changed_object_in_the_frames_that_they_show(posed: Project) -> None:
-    first, second, third, _ = (frame.id for frame in posed.frames.of())
-    make(posed, first, box_at())
-    last = posed.log.last()
-    (label,) = posed.labels.of_frame(second)
-    moved = LabelChanged(uid=label.uid, state=ReviewState.EDITED, box=BoxRecord.of(box_at(1.0)))
-    posed.log.append(second, [moved], revised(posed, second))
-    _, changed = posed.log.changed_frames(last, shown=[third])
-    assert [(each.frame_id, each.author) for each in changed] == [(second, "ann"), (third, "ann")]
-    assert [each.revision for each in changed] == [posed.frames.get(id).revision for id in (second, third)]
-
-
 def test_what_detectors_find_of_it_is_covered(posed: Project) -> None:
     make(posed, posed.frames.of()[0].id, box_at())
     third = posed.frames.of()[2].id

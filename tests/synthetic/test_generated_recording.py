@@ -17,6 +17,7 @@ from annotator.formats.reading import read_mask
 from annotator.geometry.oriented_box import contains
 from annotator.recordings import open_recording
 from annotator.recordings.poses import survey_poses
+from annotator.recordings.recording import ReaderOptions
 from annotator.synthetic import write_generated
 from annotator.synthetic.arrangements import Actor
 from annotator.synthetic.materials import Lights, Material, Palette
@@ -27,6 +28,7 @@ from annotator.synthetic.snapshots import MIN_POINTS, Snapshot, snapshot
 from annotator.synthetic.writer import drifting
 from annotator.types import Camera
 from annotator.types.errors import AnnotatorError
+from annotator.workflows.recorded.reading import load_truth
 
 PRESETS = ("people", "hands", "objects")
 FRAMES = 3
@@ -111,6 +113,37 @@ def test_the_objects_of_a_tour_stand_still_by_its_poses_and_people_walk(tmp_path
     assert max(ways["person"]) > 0.2
 
 
+def test_the_parked_cars_of_a_drive_stand_still_by_its_poses_and_the_others_move(tmp_path: Path):
+    write_generated(tmp_path / "a", "drive", 3, seed=2, drift=0.01)
+    exact = (tmp_path / "a" / "truth" / "poses.csv").read_bytes()
+    assert (tmp_path / "a" / "poses.csv").read_bytes() != exact
+    (tmp_path / "a" / "poses.csv").write_bytes(exact)
+    recording = open_recording(tmp_path / "a")
+    assert (recording.format, recording.pose_source) == ("cloud_folder", "poses.csv")
+    assert recording.times_ns == (100_000_000, 200_000_000, 300_000_000)
+    places = dict[tuple[str, int | None], list[np.ndarray]]()
+    for i in range(3):
+        frame, T_world_camera = recording.frame(i), recording.pose(i)
+        assert T_world_camera is not None
+        for truth in load_truth(recording, i, frame):
+            # the points are on the object, up to the noise of the distance
+            assert contains(truth.box, frame.cloud.xyz_m, 0.05).sum() >= 10
+            places.setdefault((truth.label, truth.track_id), []).append(T_world_camera.apply(truth.box.center_m))
+    # about half of them are before the virtual camera
+    all_boxes = [truth for truths in read_boxes(tmp_path / "a" / "truth" / "boxes.json").values() for truth in truths]
+    assert sum(map(len, places.values())) < len(all_boxes)
+    assert len({truth.track_id for truth in all_boxes if truth.label == "car"}) > 12
+    moved = {name: float(np.linalg.norm(each[-1] - each[0])) for name, each in places.items() if len(each) == 3}
+    parked = [way for (label, track), way in moved.items() if label == "car" and track <= 20]  # type: ignore[operator]
+    assert len(parked) > 5 and max(parked) < 1e-4
+    assert min(way for (_, track), way in moved.items() if track > 20) > 0.15  # type: ignore[operator]
+    around = open_recording(tmp_path / "a", ReaderOptions(look_around=4, camera="around-090"))
+    assert load_truth(around, 0, around.frame(0))
+    pose, left = recording.pose(0), around.pose(0)
+    assert pose is not None and left is not None
+    np.testing.assert_allclose(pose.rotation.as_matrix()[:, 0], -left.rotation.as_matrix()[:, 2], atol=1e-7)
+
+
 def test_poses_drift_by_a_share_of_the_way(tmp_path: Path):
     """A step is 2 % too long, and each metre turns what follows by 1 % of a radian."""
     turn = Rotation.from_euler("z", 90, degrees=True)
@@ -138,7 +171,7 @@ def test_an_interrupted_recording_leaves_nothing(tmp_path: Path):
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        ({"preset": "cats"}, "unknown preset 'cats'; choose one of people, hands, objects, tour"),
+        ({"preset": "cats"}, "unknown preset 'cats'; choose one of people, hands, objects, tour, drive"),
         ({"drift": 0.1}, "the camera of hands stands still"),
         ({"drift": 2.0, "preset": "tour"}, r"a share of the way, 0 to 0\.2, not 2"),
         ({"frames": 0}, "frames must be at least 1"),

@@ -25,6 +25,7 @@ from annotator.rcv.known_objects import first_views
 from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, Camera, Frame, OrientedBox, PointCloud, ReviewState
 from annotator.web.viewport.drawing import (
+    Ahead,
     Draft,
     Gizmo,
     PointColor,
@@ -196,6 +197,27 @@ def test_another_frame_replaces_the_cloud_and_leaves_the_camera(viewport: Viewpo
     assert not [message for message in sent(viewport) if "Camera" in message]
     viewport.show(SceneContent(("room", 2), frames[1]))
     assert [message for message in sent(viewport) if "Camera" in message]
+
+
+def test_points_that_were_sent_ahead_are_shown_without_being_sent(viewport: Viewport, frames: list[Frame]) -> None:
+    here, there = (Ahead(frame, find_ground(frame.cloud.xyz_m, scene_up(frame))) for frame in frames)
+    content = SceneContent(("room", 1), frames[0], ground=here.ground)
+
+    def messages(shown: SceneContent) -> list[str]:
+        sent(viewport)
+        assert viewport.show(shown) == (len(shown.frame.cloud),) * 2  # type: ignore[union-attr]
+        visible = [name for name in ("/cloud", "/cloud2") if (cloud := node(viewport, name)) and cloud.visible]
+        assert len(visible) == 1
+        assert_same_cloud(node(viewport, visible[0]), shown.frame)  # type: ignore[arg-type]
+        return [message for message in sent(viewport) if message.startswith("PointCloudMessage")]
+
+    assert messages(content) == ["PointCloudMessage /cloud"]
+    assert messages(replace(content, ahead=there)) == ["PointCloudMessage /cloud2"]
+    assert messages(replace(content, frame=frames[1], ground=there.ground)) == []
+    assert messages(content) == [], "the last one is still there"
+    # other points of the same frames
+    assert viewport.show(replace(content, ahead=there, most_points=1000))[0] == 1000
+    assert viewport.show(replace(content, frame=frames[1], ground=there.ground, most_points=1000))[0] == 1000
 
 
 def drawn_draft(frame: Frame, box: OrientedBox, drags: int) -> Draft:

@@ -47,8 +47,9 @@ from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.copy_next import copy_next
 from annotator.workflows.tracks.link import link_tracks
+from annotator.workflows.tracks.operations import StandStill, apply
 from annotator.workflows.tracks.propose_boxes import boxes_of
-from annotator.workflows.tracks.still_objects import find_sightings, make_still
+from annotator.workflows.tracks.still_objects import find_sightings
 from annotator.workflows.training.samples import gather, image_samples
 from annotator.workflows.workbench.save_object import apply_changes
 
@@ -114,7 +115,7 @@ def test_a_still_object_is_seen_by_the_cameras_of_a_rig(make_project: MakeProjec
     box = car_in(project, first)
     new = NewLabel("car", box, track_id=1)
     project.labels.create(first.id, [new], WriteContext(0, "maria"))
-    make_still(project, first.recording_id, 1, "maria")
+    apply(project, first.recording_id, 1, StandStill(), "maria")
     assert find_sightings(project, first.recording_id) == 1
     for frame in second.values():
         (seen,) = project.labels.of_moment(frame.id)

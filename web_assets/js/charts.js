@@ -24,6 +24,14 @@ function loadPlotly() {
   return loading;
 }
 
+/** A line through points. */
+export const line = (/** @type {string} */ color, /** @type {object} */ trace, dash = "solid") => ({
+  mode: "lines+markers",
+  line: { color, width: 1.6, dash },
+  marker: { size: 4 },
+  ...trace,
+});
+
 /** A name as a chart shows it: plotly takes some HTML. */
 export const plain = (/** @type {string} */ name) =>
   name.replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll(">", "&gt;");

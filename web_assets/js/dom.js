@@ -179,11 +179,11 @@ export const nothing = (
   /** @type {string} */ action,
 ) => h("div.empty", title && h("h2", title), h("p", text), h("a.button", { href }, action));
 
-/** 1 -> "1 frame", 2 -> "2 frames". */
+/** 1 -> "1 frame", 2 -> "2 frames", "2 boxes". */
 export function count(
   /** @type {number} */ number,
   /** @type {string} */ word,
-  /** @type {string} */ plural = `${word}s`,
+  /** @type {string} */ plural = word.endsWith("x") ? `${word}es` : `${word}s`,
 ) {
   return `${number.toLocaleString("en")} ${number === 1 ? word : plural}`;
 }

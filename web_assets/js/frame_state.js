@@ -10,18 +10,16 @@ import { createListeners } from "./events.js";
 
 /** Maximum number of times that a frame is read if others keep changing it meanwhile. */
 const MOST_READS = 4;
+/** Number of states that are kept because their frames may be opened next. */
+const MOST_AHEAD = 4;
 
 export function createFrameState(/** @type {App} */ app) {
   const { state } = app;
   /** Frame id -> the newest revision that an event has reported. @type {Map<number, number>} */
   const heard = new Map();
   let hasMissed = false;
-  /**
-   * What was read ahead, with its address.
-   *
-   * @type {{ path: string, frame: FrameState } | null}
-   */
-  let ahead = null;
+  /** What may be opened next, by its address; the newest last. @type {Map<string, FrameState>} */
+  const ahead = new Map();
 
   // each project counts its frames from 1; the address of the picture, apart from a time offset, names the project
   const pictureOf = (/** @type {FrameState} */ frame) => frame.image.url.split("&")[0];
@@ -31,18 +29,47 @@ export function createFrameState(/** @type {App} */ app) {
     `${app.path("frames", id)}${bestFor === null ? "" : `?best_for=${encodeURIComponent(bestFor)}`}`;
   const isOutdated = (/** @type {FrameState} */ frame) => (heard.get(frame.frame.id) ?? -1) > frame.frame.revision;
 
+  function keep(/** @type {string} */ path, /** @type {FrameState} */ frame) {
+    ahead.delete(path);
+    ahead.set(path, frame);
+    for (const oldest of [...ahead.keys()].slice(0, -MOST_AHEAD)) ahead.delete(oldest);
+  }
+
+  /** The state that is kept of a frame, or of that in which a label is seen best; null: none, or an outdated one. */
+  function knownOf(/** @type {number} */ id, /** @type {string | null} */ bestFor) {
+    const [here, best] = [ahead.get(pathOf(id, null)), ahead.get(pathOf(id, bestFor))];
+    const isBest = here?.labels.some(({ uid, better_in }) => uid === bestFor && better_in === null);
+    const frame = best ?? (isBest ? here : null);
+    return frame && !isOutdated(frame) ? frame : null;
+  }
+
+  /** Another frame is open; the one before may be opened again. */
+  function show(/** @type {FrameState} */ frame) {
+    if (state.frame) keep(pathOf(state.frame.frame.id, null), state.frame);
+    state.set({ frame });
+  }
+
   const frames = {
     /** True if others have saved, or may have saved, a newer state. */
     get isBehind() {
       return state.frame !== null && (hasMissed || isOutdated(state.frame));
     },
 
-    /** Takes a state of the open frame. Returns false, and ignores the state, if it is older or of another frame. */
+    /** Takes a state of the open frame. Returns false, and does not show the state, if it is older or of another frame. */
     take(/** @type {FrameState} */ frame) {
       const open = state.frame;
+      const path = pathOf(frame.frame.id, null);
+      if (ahead.has(path)) keep(path, frame);
       if (open === null || !isSame(frame, open) || frame.frame.revision < open.frame.revision) return false;
       state.set({ frame });
       return true;
+    },
+
+    /** The newest known state of a frame, which the operator may have left. */
+    async of(/** @type {number} */ id) {
+      const open = state.frame;
+      const path = pathOf(id, null);
+      return open?.frame.id === id ? open : (ahead.get(path) ?? /** @type {FrameState} */ (await app.api.get(path)));
     },
 
     /** Reads a frame that may be opened next, with the same arguments as `open`. */
@@ -53,8 +80,8 @@ export function createFrameState(/** @type {App} */ app) {
     ) {
       const path = pathOf(id, bestFor);
       /** @type {FrameState} */
-      const frame = await app.api.get(path, options);
-      ahead = { path, frame };
+      const frame = knownOf(id, bestFor) ?? (await app.api.get(path, options));
+      keep(path, frame);
       return frame;
     },
 
@@ -64,11 +91,11 @@ export function createFrameState(/** @type {App} */ app) {
      */
     async open(/** @type {number} */ id, /** @type {string | null} */ bestFor, /** @type {RequestOptions} */ options) {
       const path = pathOf(id, bestFor);
-      const known = ahead?.path === path && !isOutdated(ahead.frame) ? ahead.frame : null;
-      ahead = null;
+      const known = knownOf(id, bestFor);
+      ahead.delete(path);
       if (known && !isSame(known, state.frame)) {
         hasMissed = true;
-        state.set({ frame: known });
+        show(known);
         return known;
       }
       /** @returns {Promise<FrameState>} */
@@ -77,7 +104,7 @@ export function createFrameState(/** @type {App} */ app) {
       for (let reads = 1; reads < MOST_READS && isOutdated(frame); reads += 1) frame = await read();
       hasMissed = false;
       // the open frame may be newer than the answer
-      if (!isSame(frame, state.frame)) state.set({ frame });
+      if (!isSame(frame, state.frame)) show(frame);
       else if (!frames.take(frame)) state.set({ frame: state.frame });
       return currentFrame(app);
     },
@@ -105,11 +132,13 @@ export function createFrameState(/** @type {App} */ app) {
     /** Events may have been missed. */
     miss() {
       hasMissed = true;
+      ahead.clear();
     },
 
     /** No frame is open any more: it cannot be read, or another project was opened. */
     close(isOtherProject = false) {
       if (isOtherProject) heard.clear();
+      ahead.clear();
       hasMissed = false;
       state.set({ frame: null });
     },

@@ -1,8 +1,7 @@
 /**
  * The key table, and the listener that calls its handlers.
  *
- * A row defines what a key does, and in which modes; modes register handlers by the row's id. While a row has no
- * handler, the browser (or the focused 2D editor) gets the key. The listener runs in the capture phase, also in the 3D
+ * A row defines what a key does; modes register handlers by the row's id. While a row has no handler, the browser (or the focused 2D editor) gets the key. The listener runs in the capture phase, also in the 3D
  * view's iframe, so that keys work wherever the focus is. Keys typed into a text field belong to the field. A key that
  * does not belong to its field leaves it, so that what was typed is stored before the handler runs.
  *
@@ -18,22 +17,23 @@ import { leaveField } from "./dom.js";
  * @property {string[]} keys
  * @property {string[]} [shown] what the table shows in place of `keys`.
  * @property {string} label
- * @property {string[] | null} modes null: all.
  * @property {string} group
  */
 
-const ANNOTATE = ["annotate"];
-const EVERYWHERE = null;
+/** The group whose keys work in all modes; the others are those of Annotate. */
+const EVERYWHERE = "Everywhere";
+/** What happens again and again while its key is held down. */
+const REPEATED = /^(undo|redo|(next|previous)-(frame|box)|points-.*)$/;
 
 /** @type {KeyRow[]} */
 export const KEYS = [
-  ...rows("Everywhere", EVERYWHERE, [
+  ...rows(EVERYWHERE, [
     ["undo", ["Ctrl+Z"], "Undo"],
     ["redo", ["Ctrl+Shift+Z", "Ctrl+Y"], "Redo"],
     ["help", ["?"], "Show this table"],
     ["regions", ["F6"], "Move the focus to the top bar and back"],
   ]),
-  ...rows("Frames and boxes", ANNOTATE, [
+  ...rows("Frames and boxes", [
     ["next-frame", ["N", "PageDown"], "Next frame"],
     ["previous-frame", ["P", "PageUp"], "Previous frame"],
     ["go-to-frame", ["Ctrl+G"], "Go to a frame by its number"],
@@ -56,7 +56,7 @@ export const KEYS = [
     ["cancel", ["Escape"], "Cancel the drag, then deselect"],
     ["finalise", ["Ctrl+Enter"], "Finalise the frame"],
   ]),
-  ...rows("Boxes", ANNOTATE, [
+  ...rows("Boxes", [
     ["accept", ["Space", "Enter"], "Accept, then go to the next: of the queue, or else of this frame", ["Space"]],
     [
       "accept-all",
@@ -74,7 +74,7 @@ export const KEYS = [
     ["teach", ["D"], "Pseudo-views, with the 2D boxes that teach the detectors, or views along the box"],
     ["next-whole-box", ["W"], "Show another whole box (dashed) for an object whose visible part is drawn"],
   ]),
-  ...rows("Tracks", ANNOTATE, [
+  ...rows("Tracks", [
     ["follow", ["V"], "Follow this reviewed or new box through the recording"],
     ["follow-back", ["Shift+V"], "Follow it backward", ["Shift", "V"]],
     ["follow-all", ["J"], "Follow all reviewed boxes of this frame"],
@@ -90,7 +90,7 @@ export const KEYS = [
     ["next-of-track", ["Shift+N"], "Next frame of this object", ["Shift", "N"]],
     ["previous-of-track", ["Shift+P"], "Previous frame of this object", ["Shift", "P"]],
   ]),
-  ...rows("View", ANNOTATE, [
+  ...rows("View", [
     ["areas", ["Q"], "The main place for the next area: image, 3D view, object"],
     ["top-view", ["M"], "Top view (a map) or 3D view"],
     ["points-larger", ["+", "="], "Larger points", ["+"]],
@@ -100,7 +100,7 @@ export const KEYS = [
     ["unlabelled", ["U"], "3D view: highlight what nobody labelled"],
     ["fit", ["0", "Home"], "Fit the pictures to their panels"],
   ]),
-  ...rows("2D boxes", ANNOTATE, [
+  ...rows("2D boxes", [
     ["nudge", arrows(["", "Shift+"]), "Move the box by 1 px, with Shift by 10", ["← ↑ → ↓"]],
     ["nudge-size", arrows(["Alt+", "Alt+Shift+"]), "Move its right or lower edge", ["Alt", "← ↑ → ↓"]],
     // the 2D editor handles these itself
@@ -114,12 +114,11 @@ export const KEYS = [
  * Rows of one group: id, keys, label, and what the table shows in place of the keys.
  *
  * @param {string} group
- * @param {string[] | null} modes
  * @param {[string, string[], string, string[]?][]} list
  * @returns {KeyRow[]}
  */
-function rows(group, modes, list) {
-  return list.map(([id, keys, label, shown]) => ({ id, keys, shown, label, modes, group }));
+function rows(group, list) {
+  return list.map(([id, keys, label, shown]) => ({ id, keys, shown, label, group }));
 }
 
 function alt(/** @type {string} */ keys) {
@@ -188,15 +187,16 @@ export function createKeys() {
     if (!handler || isForField(event, name)) return;
     // with Alt, a letter may be typed after all
     if (row.id !== "attribute") leaveField();
-    if (handler(event, digit && !row.keys.includes(name) ? digit : name) === false) return;
+    const isHeld = event.repeat && !REPEATED.test(row.id);
+    if (!isHeld && handler(digit && !row.keys.includes(name) ? digit : name) === false) return;
     event.preventDefault();
     event.stopImmediatePropagation();
   }
 
   function findRow(/** @type {string} */ name) {
     return KEYS.find(
-      ({ id, keys, modes }) =>
-        keys.includes(name) && (!modes || (mode && modes.includes(mode))) && handlers.get(id)?.length,
+      ({ id, keys, group }) =>
+        keys.includes(name) && (group === EVERYWHERE || mode === "annotate") && handlers.get(id)?.length,
     );
   }
 
@@ -209,7 +209,7 @@ export function createKeys() {
     },
 
     /**
-     * Registers handlers: {"next-frame": (event, key) => ...}. One that returns false leaves the key to the browser.
+     * Registers handlers: {"class": (key) => ...}. One that returns false leaves the key to the browser.
      * The newest handler of an id is used. Returns a function that removes these handlers.
      */
     register(/** @type {Record<string, KeyHandler>} */ map) {

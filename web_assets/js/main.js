@@ -154,6 +154,7 @@ async function travel(/** @type {"undo" | "redo"} */ direction, /** @type {boole
  */
 async function readjust(/** @type {Messages["adjusted"]} */ { recording, operator }) {
   const { route, frame } = app.state;
+  app.frames.miss();
   if (route.mode !== "annotate" || frame?.frame.recording !== recording) return;
   toast(`${operator} has changed this recording's calibration or which way is up.`);
   await follow(true);
@@ -343,6 +344,7 @@ async function start() {
   // registered before all other listeners, so that events are recorded before the modes handle them
   app.events.on("frame", app.frames.hear);
   app.events.on("reconnected", app.frames.miss);
+  app.events.on("still", app.frames.miss);
   app.events.on("presence", ({ frames }) => app.state.set({ presence: frames }));
   app.events.on("job", ({ job }) =>
     app.state.set({ jobs: [job, ...app.state.jobs.filter((other) => other.id !== job.id)] }),

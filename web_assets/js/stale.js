@@ -11,22 +11,26 @@ const MINE = "#ff5d8f";
 /**
  * Shows both versions until one is chosen.
  *
- * @param {{theirs: FrameState, mine: Mine}} versions the server's current state, and the state that was to be saved.
+ * @param {{theirs: FrameState, mine: Mine, name?: string}} versions the server's current state, and the state that was
+ *     to be saved; the name of the frame, if it is not the open one.
  * @returns {Promise<string | null>} "theirs", or "mine": to be applied to theirs and saved.
  */
-export function askVersion({ theirs, mine }) {
+export function askVersion({ theirs, mine, name }) {
   const authors = [...new Set(theirs.labels.map(({ author }) => author))].filter(Boolean);
-  const onImage = count(theirs.image_boxes?.boxes.length ?? 0, "box", "boxes");
-  const in3D = count(theirs.labels.length, "box", "boxes");
+  const onImage = count(theirs.image_boxes?.boxes.length ?? 0, "box");
+  const in3D = count(theirs.labels.length, "box");
   const by = authors.length ? ` (by ${authors.join(", ")})` : "";
   const counts = `${onImage} on the image, ${in3D} in 3D${by}`;
   return openDialog({
-    title: "Another operator has changed this frame",
+    title: `${name === undefined ? "This frame" : `Frame ${name}`} was changed elsewhere`,
     testid: "stale-dialog",
     wide: true,
     required: true,
     content: [
-      h("p", "Your last change was made on an older version and is not saved yet. Choose between the two versions."),
+      h(
+        "p",
+        "By another operator, or in another tab. Your last change was made on an older version and is not saved yet: choose.",
+      ),
       h(
         "div.versions",
         version("Saved version", picture(theirs, null), h("p.help", counts)),

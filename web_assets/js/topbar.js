@@ -92,9 +92,7 @@ function jobs(/** @type {App} */ app) {
     if (!job) return;
     const { kind, project, state, stage } = job;
     const isQueued = state === "queued";
-    // importing boxes from a file is begun on the page of training, too
-    const isOfStart = kind !== "boxes" && OF_START.includes(kind);
-    link.href = isOfStart ? "#/" : makeHash(project, kind === "export" ? "export" : "train");
+    link.href = OF_START.includes(kind) ? "#/" : makeHash(project, kind === "export" ? "export" : "train");
     link.title = `${NAMES[kind]} in ${project}: ${isQueued ? waiting(job, all) : stage}`;
     text.textContent = isQueued ? `${NAMES[kind]} waits` : NAMES[kind];
     showProgress(bar, job);

@@ -56,7 +56,8 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   let wanted = null;
   /** The scene that the server shows. @type {Wanted | null} */
   let last = null;
-  let busy = false;
+  /** Ends when the wanted scene is shown. @type {Promise<void> | null} */
+  let working = null;
   /** How often the server has told of the connection. */
   let heard = 0;
   let isHeld = false;
@@ -64,6 +65,8 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   let state = "opening";
   let retry = 0;
   let doubleClickedAt = -Infinity;
+  /** The frame whose points are sent ahead. @type {number | null} */
+  let ahead = null;
 
   document.body.append(layer);
 
@@ -117,6 +120,14 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     void work();
   }
 
+  /** Sends the points of the frame that may be shown next, so that the browser only has to draw them. */
+  function prepare(/** @type {number} */ next) {
+    if (next === ahead) return;
+    ahead = next;
+    if (last !== null) wanted ??= last;
+    void work();
+  }
+
   /** Shows the scene with the present settings, and moves the viewer. */
   function look(/** @type {Api.Look | null} */ from) {
     const scene = (wanted ?? last)?.scene;
@@ -124,9 +135,14 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   }
 
   /** Sends the wanted scene, one request at a time: a newer scene waits for the answer to an older one. */
-  async function work() {
-    if (busy) return;
-    busy = true;
+  function work() {
+    working ??= send().finally(() => {
+      working = null;
+    });
+    return working;
+  }
+
+  async function send() {
     clearTimeout(retry);
     try {
       while (wanted !== null && !isHeld) await step(wanted);
@@ -140,8 +156,6 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
         say("lost", error.message);
         if (error.status === 0 || error.status >= 500) again();
       }
-    } finally {
-      busy = false;
     }
   }
 
@@ -168,6 +182,7 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
       ...bar.settings,
       theme: themeNow(),
       colors,
+      ahead,
       ...scene,
     });
     // the viewer is moved once, not each time that the scene is shown again
@@ -210,14 +225,14 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   function start(/** @type {string} */ url) {
     frame?.remove();
     const fresh = h("iframe", { title: "3D view", "data-testid": "viewport-frame", tabindex: "-1" });
-    fresh.addEventListener("load", () => prepare(fresh));
+    fresh.addEventListener("load", () => equip(fresh));
     fresh.src = graphics === "software" ? `${url}?fixedDpr=${SOFTWARE.pixels}` : url;
     frame = fresh;
     layer.prepend(fresh);
     follow();
   }
 
-  function prepare(/** @type {HTMLIFrameElement} */ loaded) {
+  function equip(/** @type {HTMLIFrameElement} */ loaded) {
     // without a server, the browser shows a page of its own, which is out of reach
     const view = loaded.contentDocument?.defaultView;
     if (!view || view.location.href === "about:blank") return;
@@ -278,6 +293,7 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
 
   function forget() {
     bench = null;
+    ahead = null;
     frame?.remove();
     frame = null;
     follow();
@@ -294,6 +310,9 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
 
   return {
     show,
+    prepare,
+    /** Ends when the server has shown the newest scene. */
+    idle: () => working ?? Promise.resolve(),
     /** The viewport's id; null before it is open. */
     get id() {
       return bench?.id ?? null;

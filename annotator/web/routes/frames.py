@@ -48,23 +48,28 @@ DECIDED = {"accept": ReviewState.ACCEPTED, "reject": ReviewState.REJECTED}
 
 
 class Decide(Schema):
-    """Accepts a label unchanged, rejects it (the object does not exist), or removes it: it may be proposed again."""
+    """Accepts a label unchanged, rejects it (the object does not exist), or removes it: it may be proposed again.
+
+    `here`: of an object that stands still, only in this frame.
+    """
 
     kind: Literal["accept", "reject", "delete"]
     uid: Uid
+    here: bool = False
 
     def payload(self) -> Payload:
         if self.kind == "delete":
-            return LabelDeleted(uid=self.uid)
-        return LabelChanged(uid=self.uid, state=DECIDED[self.kind])
+            return LabelDeleted(uid=self.uid, here=self.here)
+        return LabelChanged(uid=self.uid, state=DECIDED[self.kind], here=self.here)
 
 
 class Edit(LabelValues):
-    """Changes a label's class, box and track; with `box_kind`, also what its box encloses."""
+    """Changes a label's class, box and track; with `box_kind`, also what its box encloses. `here`: see `Decide`."""
 
     kind: Literal["edit"]
     uid: Uid
     box_kind: BoxKind | None = None
+    here: bool = False
 
     def payload(self) -> Payload:
         box = BoxRecord.of(self.box.box())
@@ -75,6 +80,7 @@ class Edit(LabelValues):
             box=box,
             track_id=self.track_id,
             box_kind=self.box_kind,
+            here=self.here,
         )
 
 
@@ -140,7 +146,7 @@ class ChangesIn(FrameChange):
     subject: Uid | None = None
 
     def sent(self) -> list[Any]:
-        changes: list[Any] = self.model_dump(mode="json")["changes"]
+        changes: list[Any] = self.model_dump(mode="json", exclude_unset=True)["changes"]
         return changes
 
 

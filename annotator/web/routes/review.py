@@ -15,7 +15,7 @@ from annotator.image_bytes import encoded_image
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.review import ValueFilter, waiting_sources
 from annotator.rcv.config import RcvConfig
-from annotator.types import Box2D, BoxKind, DetectorKind, Suggestion
+from annotator.types import Box2D, BoxKind, DetectorKind, ReviewState, Suggestion
 from annotator.web.context import AtProject
 from annotator.web.frame_json import STALE, AtFrame, InFrame, drawn_view
 from annotator.web.schemas import (
@@ -41,7 +41,7 @@ from annotator.workflows.workbench.contact_sheet import ortho_views
 from annotator.workflows.workbench.drawing_steps import Labelling, frame_config, label_object
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import Readiness
-from annotator.workflows.workbench.refit import FoundBox, find_box, place_box, place_on_ground, refit
+from annotator.workflows.workbench.refit import FoundBox, find_box, next_unlabelled, place_box, place_on_ground, refit
 from annotator.workflows.workbench.review_queue import Order
 from annotator.workflows.workbench.review_queue import queue as all_items
 from annotator.workflows.workbench.save_object import ObjectDrawn, copy_boxes, save_object
@@ -123,6 +123,29 @@ def place(at: AtFrame, body: PlaceIn) -> FitOut:
     """Place a box of the class's typical size on the ground, turned like what stands there. Nothing is stored."""
     opened, config, ready = _ready(at)
     return _fitted(at, place_on_ground(opened, np.array(body.point), body.label, config, ready.detector), ready)
+
+
+class UnlabelledIn(Schema):
+    """The class of an object that nobody has labelled, and the distance of the last one that was offered, metres."""
+
+    label: ClassName
+    beyond: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
+
+
+class UnlabelledOut(FitOut):
+    """A fitted box, and how far away its object is, metres."""
+
+    distance: float
+
+
+@router.post("/api/projects/{name}/frames/{frame_id}/unlabelled")
+def unlabelled(at: AtFrame, body: UnlabelledIn) -> UnlabelledOut:
+    """Fit a box to the next thing that this camera sees and that is in no box, the nearest first. Nothing is stored."""
+    opened, config, ready = _ready(at)
+    boxes = [each.box for each in at.project.labels.of_frame(at.frame_id) if each.state is not ReviewState.REJECTED]
+    classes = at.project.config.classes
+    found, distance_m = next_unlabelled(opened, boxes, body.beyond, body.label, classes, config, ready.detector)
+    return UnlabelledOut.of(_fitted(at, found, ready), distance=distance_m)
 
 
 def _fitted(at: InFrame, found: FoundBox, ready: Readiness) -> FitOut:

@@ -164,7 +164,10 @@ def stop_following(at: AtProject) -> FollowRunJson | None:
 def operate(at: AtProject, recording_id: RowId, track_id: TrackId, body: OperationIn) -> OperationOut:
     """Apply an operation to a track, one undo step, if it does what the operator was told; untold, only count."""
     caches, operation = at.ctx.caches, body.operation
-    is_fit = body.told is not None and isinstance(operation, Fill) and operation.refit
+    is_fit = isinstance(operation, Fill) and operation.refit
+    if is_fit:
+        at.ctx.follow_runs.require_none(at.project, at.operator)
+    is_fit &= body.told is not None
     view = caches.detectors.get(at.project, DetectorKind.VIEW) if is_fit else None
     done = apply(
         at.project,

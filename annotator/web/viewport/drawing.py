@@ -66,6 +66,14 @@ class Draft:
 
 
 @dataclass(frozen=True, eq=False)
+class Ahead:
+    """A frame that may be shown next, and the ground below its points."""
+
+    frame: Frame
+    ground: Ground
+
+
+@dataclass(frozen=True, eq=False)
 class SceneContent:
     """The content of a viewport.
 
@@ -77,6 +85,7 @@ class SceneContent:
         only_selected: leave out other boxes, and points that are not near the selected one.
         look: moves the viewer.
         ground: below the frame's points; None = to be found.
+        ahead: the frame that may be shown next.
     """
 
     key: tuple[str, int] | None
@@ -94,6 +103,7 @@ class SceneContent:
     look: Look | None = None
     theme: Theme = Theme.DARK
     ground: Ground | None = None
+    ahead: Ahead | None = None
 
     @property
     def palette(self) -> Palette:
@@ -104,6 +114,11 @@ class SceneContent:
     def selected_box(self) -> ShownBox | None:
         """The selected box, which the gizmo moves."""
         return next((shown for shown in self.boxes if shown.uid is not None and shown.uid == self.selected), None)
+
+    @property
+    def is_of_boxes(self) -> bool:
+        """Whether the points that are shown, or their colours, depend on the boxes."""
+        return self.only_selected or self.color is PointColor.UNLABELLED
 
     @property
     def points_key(self) -> tuple[object, ...]:
@@ -138,10 +153,9 @@ EMPTY_DISTANCE_M = 3.0
 CAMERA_UP = np.array([0.0, -1.0, 0.0])
 
 
-def wanted_points(content: SceneContent, ground: Ground) -> PointCloud:
-    """The points of the content's frame that are not left out, with colours and reflectance."""
-    assert content.frame is not None
-    cloud, near = content.frame.cloud, content.selected_box
+def wanted_points(content: SceneContent, frame: Frame, ground: Ground) -> PointCloud:
+    """The points of a frame that the content does not leave out, with colours and reflectance."""
+    cloud, near = frame.cloud, content.selected_box
     keep = np.ones(len(cloud), bool)
     if content.only_selected and near is not None:
         keep &= contains(near.box, cloud.xyz_m, NEAR_SHARE * float(near.box.size_m.max()))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Coroutine
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import UInt8
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.geometry.ground import find_ground
+from annotator.geometry.ground import Ground, find_ground
 from annotator.rcv.pseudo_view import BACKGROUND
 from annotator.types import Frame, OrientedBox, PointCloud
 from annotator.web.viewport.drawing import (
@@ -48,9 +49,32 @@ FAR_M = 1e9
 # Size of the gizmo, as a share of the selected box's longest side, and its minimum, metres.
 GIZMO_SHARE, GIZMO_LEAST_M = 0.75, 0.08
 
-CLOUD, SHADER, GUIDES, BOXES = "/cloud", "/shader", "/guides", "/boxes"
+# The cloud that is shown, and a hidden one that may be shown next.
+CLOUDS = ("/cloud", "/cloud2")
+SHADER, GUIDES, BOXES = "/shader", "/guides", "/boxes"
 SELECTED, SELECTED_LINES = "/selected", "/selected/lines"
 FRUSTUM, DRAFT_BOX, AXES = "/draft/frustum", "/draft/box", "/draft/axes"
+NO_POINTS = PointCloud(np.zeros((0, 3), np.float32))
+
+
+@dataclass(eq=False)
+class ShownCloud:
+    """The points of a frame in the browser: those of `key`, coloured for `colors_key`; no frame = none.
+
+    Attributes:
+        size_m: the default size of a point.
+    """
+
+    name: str
+    frame: Frame | None = None
+    key: tuple[object, ...] = ()
+    colors_key: tuple[object, ...] = ()
+    points: PointCloud = NO_POINTS
+    size_m: float = 0.0
+
+    def has(self, frame: Frame, content: SceneContent) -> bool:
+        """Whether these are the points of a frame that the content asks for."""
+        return self.frame is frame and self.key == content.points_key
 
 
 class Scene:
@@ -61,15 +85,15 @@ class Scene:
         self._api = server.scene
         self._on_gizmo = on_gizmo
         self._faces = FaceHandles(server.scene, on_face)
-        self._points, self._point_size_m = PointCloud(np.zeros((0, 3), np.float32)), 0.0
-        self._ground, self._reach_m = find_ground(self._points.xyz_m, CAMERA_UP), 0.0
+        self._shown, self._other = (ShownCloud(name) for name in CLOUDS)
+        self._ground, self._reach_m = find_ground(NO_POINTS.xyz_m, CAMERA_UP), 0.0
         self.content = SceneContent(None, None)
         self._api.configure_default_lights(False)
         self._api.configure_environment_map(None)
         self._api.world_axes.visible = False
         self._gizmo: viser.TransformControlsHandle | None = None
         # A cloud that is never seen. With each new cloud, the browser makes its shader anew unless another one uses it.
-        self._cloud(SHADER, np.full((2, 3), FAR_M, np.float32), np.zeros((2, 3), np.uint8), 0.0)
+        self._add_points(SHADER, np.full((2, 3), FAR_M, np.float32), np.zeros((2, 3), np.uint8), 0.0)
 
     @property
     def gizmo(self) -> viser.TransformControlsHandle:
@@ -104,42 +128,83 @@ class Scene:
             look = Look.START if content.key != before.key else content.look
             if content.frame is not None and look is not None:
                 self._look(look, content.frame)
-            counts = self._show_cloud(before)
+            counts = self._show_cloud()
             self._show_boxes()
             self._show_selected(hold_gizmo)
             if content.draft is not before.draft or content.frame is not before.frame or is_new_theme:
                 self._show_draft(content.draft, content.frame)
+            self._send_ahead()
         self._server.flush()
         return counts
 
     # --- the cloud -------------------------------------------------------------------------------------------------
 
-    def _show_cloud(self, before: SceneContent) -> tuple[int, int]:
+    def _show_cloud(self) -> tuple[int, int]:
         content, frame = self.content, self.content.frame
         if frame is None:
-            self._remove(CLOUD)
+            for cloud in (self._shown, self._other):
+                self._empty(cloud)
             return 0, 0
-        if frame is not before.frame or content.points_key != before.points_key:
-            # sent as one message, since the browser creates new buffers for it anyway
-            wanted = wanted_points(content, self._ground)
-            points = self._points = shown_points(wanted, content.most_points)
-            if len(points) == 0:
-                self._remove(CLOUD)
-                return 0, len(frame.cloud)
-            self._point_size_m = point_size_m(frame, len(points) / max(len(wanted), 1))
-            self._cloud(CLOUD, points.xyz_m, self._point_colors(), self._point_size_m * content.point_size)
-        elif len(self._points):
-            cloud: Any = self._api.get_handle_by_name(CLOUD)
-            if content.colors_key != before.colors_key:
-                cloud.colors = self._point_colors()
-            cloud.point_size = self._point_size_m * content.point_size
-        return len(self._points), len(frame.cloud)
+        if self._other.has(frame, content) and not self._shown.has(frame, content):
+            self._shown, self._other = self._other, self._shown
+        if self._shown.has(frame, content):
+            self._color(self._shown, self._ground)
+        else:
+            self._send(self._shown, frame, self._ground)
+        for cloud in (self._shown, self._other):
+            handle = self._api.get_handle_by_name(cloud.name)
+            if handle is not None:
+                handle.visible = cloud is self._shown
+        return len(self._shown.points), len(frame.cloud)
 
-    def _point_colors(self) -> UInt8[np.ndarray, "n 3"]:
+    def _send_ahead(self) -> None:
+        """Sends the hidden points of the frame that may be shown next: then the browser only has to draw them."""
+        ahead, content = self.content.ahead, self.content
+        # what depends on the boxes is not known yet
+        if (
+            ahead is None
+            or ahead.frame is content.frame
+            or content.is_of_boxes
+            or self._other.has(ahead.frame, content)
+        ):
+            return
+        self._send(self._other, ahead.frame, ahead.ground, visible=False)
+
+    def _send(self, cloud: ShownCloud, frame: Frame, ground: Ground, visible: bool = True) -> None:
+        """Sends points as one message, since the browser creates new buffers for them anyway."""
         content = self.content
-        return point_colors(self._points, content.color, self._ground, content.palette, content.boxes)
+        wanted = wanted_points(content, frame, ground)
+        cloud.points = shown_points(wanted, content.most_points)
+        cloud.frame, cloud.key, cloud.colors_key = frame, content.points_key, content.colors_key
+        if len(cloud.points) == 0:
+            self._remove(cloud.name)
+            return
+        cloud.size_m = point_size_m(frame, len(cloud.points) / max(len(wanted), 1))
+        colors = self._point_colors(cloud, ground)
+        self._add_points(cloud.name, cloud.points.xyz_m, colors, cloud.size_m * content.point_size, visible)
 
-    def _cloud(self, name: str, xyz_m: np.ndarray, colors: UInt8[np.ndarray, "n 3"], size_m: float) -> None:
+    def _color(self, cloud: ShownCloud, ground: Ground) -> None:
+        """Gives points their present colours and size."""
+        content = self.content
+        handle: Any = self._api.get_handle_by_name(cloud.name)
+        if handle is None:
+            return
+        if cloud.colors_key != content.colors_key:
+            cloud.colors_key = content.colors_key
+            handle.colors = self._point_colors(cloud, ground)
+        handle.point_size = cloud.size_m * content.point_size
+
+    def _empty(self, cloud: ShownCloud) -> None:
+        cloud.frame, cloud.points = None, NO_POINTS
+        self._remove(cloud.name)
+
+    def _point_colors(self, cloud: ShownCloud, ground: Ground) -> UInt8[np.ndarray, "n 3"]:
+        content = self.content
+        return point_colors(cloud.points, content.color, ground, content.palette, content.boxes)
+
+    def _add_points(
+        self, name: str, xyz_m: np.ndarray, colors: UInt8[np.ndarray, "n 3"], size_m: float, visible: bool = True
+    ) -> None:
         self._api.add_point_cloud(
             name,
             xyz_m,
@@ -148,6 +213,7 @@ class Scene:
             point_shape="square",
             point_shading="flat",
             precision="float32",
+            visible=visible,
         )
 
     # --- boxes -----------------------------------------------------------------------------------------------------

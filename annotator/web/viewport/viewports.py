@@ -23,7 +23,7 @@ from annotator.types.errors import NotFoundError
 from annotator.web.background import Periodic
 from annotator.web.context import Ctx, Operator
 from annotator.web.schemas import MOST_BOXES, Axes, Box2DJson, Box3DJson, ClassName, RowId, Schema, Uid
-from annotator.web.viewport.drawing import MOST_POINTS, Draft, Gizmo, PointColor, SceneContent, ShownBox, pick
+from annotator.web.viewport.drawing import MOST_POINTS, Ahead, Draft, Gizmo, PointColor, SceneContent, ShownBox, pick
 from annotator.web.viewport.faces import moved_face
 from annotator.web.viewport.guides import Look
 from annotator.web.viewport.palette import Theme
@@ -256,7 +256,8 @@ class SceneRequest(Schema):
 
     `previews` are unstored boxes. `point_size` is a factor of the default size, which depends on the cloud's distance.
     `colors` are those of boxes, #rrggbb by uid; others have that of their state. `hide_ground` and `most_height` (above
-    the ground, metres) leave out points, `only_selected` also other boxes. `look` moves the viewer.
+    the ground, metres) leave out points, `only_selected` also other boxes. `look` moves the viewer. `ahead` is a frame
+    that may be shown next: its points are sent without being shown.
     """
 
     frame: RowId | None
@@ -273,6 +274,7 @@ class SceneRequest(Schema):
     only_selected: bool = False
     look: Look | None = None
     theme: Theme = Theme.DARK
+    ahead: RowId | None = None
 
 
 class SceneAnswer(Schema):
@@ -331,6 +333,7 @@ async def viser_socket(id: str, socket: WebSocket, operator: Operator, viewports
 
 def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> SceneContent:
     opened = ctx.caches.frames.open(project, frame_id)
+    ahead = None if body.ahead is None else ctx.caches.frames.open(project, body.ahead)
     page = read_page(project, frame_id)
     labels = [stored.label for stored in page.labels]
     return SceneContent(
@@ -349,6 +352,7 @@ def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> S
         look=body.look,
         theme=body.theme,
         ground=opened.ground,
+        ahead=None if ahead is None else Ahead(ahead.frame, ahead.ground),
     )
 
 

@@ -110,10 +110,14 @@ class Kind(StrEnum):
 
 
 class WarningRow(Strict):
-    """One warning: `frame` is an id, `recording` a name; without `uid`, it is about the frame as a whole."""
+    """One warning: `frame` is an id, `recording` a name; without `uid`, it is about the frame as a whole.
+
+    `number` is that of the frame on the page, from 1; None if its recording no longer has it.
+    """
 
     kind: Kind
     frame: int
+    number: int | None
     key: str
     recording: str
     uid: str | None
@@ -154,7 +158,9 @@ def check_project(project: Project, budget_s: float = math.inf) -> CheckReport:
     before = _previous_frames(frames.values(), {r.id for r in recordings.values() if r.is_sequence})
     last = defaultdict[int, dict[int, tuple[int, Label]]](dict)  # of each recording's tracks, with its index
     warnings: list[WarningRow] = []
+    numbers = Counter[int]()
     for frame in frames.values():
+        numbers[frame.recording_id] += 1
         labels, values = by_frame.get(frame.id, []), of_frames.get(frame.id, {})
         # nobody can complete a frame that its recording no longer has
         is_complete = bool(labels) or (frame.finalised and frame.index is not None)
@@ -177,6 +183,7 @@ def check_project(project: Project, budget_s: float = math.inf) -> CheckReport:
             WarningRow(
                 kind=kind,
                 frame=frame.id,
+                number=None if frame.index is None else numbers[frame.recording_id],
                 key=frame.key,
                 recording=recordings[frame.recording_id].name,
                 uid=None if number is None else labels[number].uid,

@@ -15,7 +15,7 @@ from jaxtyping import UInt8
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats import argoverse
-from annotator.formats.box_files import PLACES, each_entries, entry_truth
+from annotator.formats.box_files import NAME, PLACES, each_entries, entry_truth
 from annotator.formats.frame_names import DatasetNames
 from annotator.formats.kitti_folders import read_kitti_file
 from annotator.formats.kitti_rows import DONT_CARE, KittiLabel, kitti_row, read_rows, row_truth
@@ -126,7 +126,8 @@ def found_labels(recording: Recording, index: int, frame: Frame | None) -> Frame
         found = _moved(found, frame.T_camera_recorded)
         # all boxes of an export of annotator belong to its one camera
         is_export = recording is base and isinstance(base, NuScenes) and base.is_export
-        if isinstance(base, NuScenes | ArgoverseLog) and not is_export:
+        around = isinstance(base, NuScenes | ArgoverseLog) or (isinstance(base, CloudFolder) and file.name == NAME)
+        if around and not is_export:
             K, size = frame.camera.matrix, (frame.camera.width_px, frame.camera.height_px)
             found = found._replace(objects=[each for each in found.objects if is_seen(each.truth.box, K, *size)])
         return found
@@ -191,7 +192,8 @@ def label_file(recording: Recording, key: str) -> Path | None:
     """
     if isinstance(recording, LookAround):
         # labels of other formats cover only what the camera sees
-        return label_file(recording.base, key) if isinstance(recording.base, NuScenes | ArgoverseLog) else None
+        file, is_whole = label_file(recording.base, key), isinstance(recording.base, NuScenes | ArgoverseLog)
+        return file if is_whole or (file is not None and file.name == NAME) else None
     if isinstance(recording, SunRgbdScenes):
         labels = recording.scene(key) / SCENE_LABELS
         labelled = labels.is_file() or any((recording.scene(k) / SCENE_LABELS).is_file() for k in recording.keys)
@@ -201,7 +203,8 @@ def label_file(recording: Recording, key: str) -> Path | None:
     if isinstance(recording, OpenLabelFolder):
         return recording.document(key)
     if isinstance(recording, CloudFolder) and not (recording.root / LABELS / CLASSES_FILE).is_file():
-        return None
+        truth = recording.root / PLACES[0]
+        return truth if truth.is_file() else None
     folder = recording.tables if isinstance(recording, NuScenes) else recording.root
     for name in _own(recording).places:
         place = folder / name
@@ -332,6 +335,13 @@ def _with_error(
     return {key: each._replace(of_file=of_file, error=error) for key, each in found.items()}
 
 
+def _of_clouds(recording: Recording, key: str, path: Path, frame: Frame) -> FrameLabels | Sequence[Truth]:
+    """In the clouds' own frame: of labelCloud, or of a file of boxes."""
+    if path.name != NAME:
+        return transformed(read_labelcloud_file(path), frame.T_camera_label)
+    return _moved(_of_boxes(recording, key, path, frame), frame.T_camera_label)
+
+
 def _of_tracking(recording: Recording, key: str, path: Path, frame: Frame | None) -> FrameLabels:
     found = labels_by_frame(recording, path)
     return _moved(found.get(str(frame_number(path, key)), found[NO_FRAME]), frame and frame.T_camera_label)
@@ -419,9 +429,7 @@ _LABELS = {
     ),
     "rcv": OwnLabels(_of_rcv, (LABELS,), ".json", without_frame=True),
     "openlabel": OwnLabels(_of_openlabel),
-    "cloud_folder": OwnLabels(
-        lambda _r, _k, path, frame: transformed(read_labelcloud_file(path), frame.T_camera_label), (LABELS,), ".json"
-    ),
+    "cloud_folder": OwnLabels(_of_clouds, (LABELS, PLACES[0]), ".json"),
 }
 NO_LABELS = OwnLabels(lambda *_: ())
 

@@ -59,10 +59,10 @@ def copy_next(
     frame, label = page.frame, label_of(page, uid).label
     timeline = Timeline(project, frame.recording_id)
     if page.next is None:
-        raise ConfigError(f"frame {frame.key} is the last of its recording; there is no next frame")
+        raise ConfigError("this is the last frame of its recording; there is no next one")
     next_frame = project.frames.get(page.next)
     if next_frame.finalised:
-        raise ConfigError(f"frame {next_frame.key} is finalised; reopen it first")
+        raise ConfigError("the next frame is finalised; reopen it first")
     box = _moved(timeline, timeline.index[frame.id], label)
     if read is not None:
         box = _registered(project, label, read(frame), read(next_frame), box)
@@ -72,7 +72,7 @@ def copy_next(
     events = proposal_events(around(project, next_frame, [proposal]), next_frame, [proposal])
     if not events:
         why = why_left_out(proposal, read_page(project, next_frame.id).labels)
-        raise ConfigError(f"nothing was proposed in frame {next_frame.key}: {why}")
+        raise ConfigError(f"nothing was proposed in the next frame: {why}")
     changes: list[tuple[StoredFrame, Sequence[Payload]]] = [(next_frame, events)]
     if is_new:
         changes.append((frame, [LabelChanged(uid=uid, track_id=track_id)]))
@@ -91,7 +91,7 @@ def _registered(project: Project, label: Label, here: Frame, there: Frame, expec
 def _moved(timeline: Timeline, here: int, label: Label) -> OrientedBox:
     """Returns a label's box moved to the next frame by the motion of its track's last reviewed boxes."""
     if label.track_id is None:
-        return label.box
+        return timeline.moved(label.box, here, here + 1)
     earlier = {
         timeline.index[other.frame_id]: other.label.box
         for other in timeline.project.labels.along(timeline.recording_id, states=REVIEWED, tracks=[label.track_id])
@@ -99,4 +99,5 @@ def _moved(timeline: Timeline, here: int, label: Label) -> OrientedBox:
     }
     known = sorted(earlier)[1 - MOTION_BOXES :]
     boxes = [*(earlier[index] for index in known), label.box]
+    boxes = [timeline.moved(box, index, here + 1) for box, index in zip(boxes, [*known, here], strict=True)]
     return predicted(boxes, timeline.times[np.array([*known, here])].tolist(), float(timeline.times[here + 1]))

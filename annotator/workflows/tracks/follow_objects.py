@@ -11,7 +11,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.follow_object import Followed, Look, follow_object
 from annotator.tracking.link import predicted
 from annotator.types import Detector, Frame, OrientedBox, Proposal
-from annotator.workflows.tracks.timeline import KeyFrame, Moment
+from annotator.workflows.tracks.timeline import KeyFrame, Moment, moved
 
 # Number of last boxes from which the motion is estimated.
 MOTION_BOXES = 3
@@ -36,11 +36,12 @@ class Follower:
         """
         self._label, self._view, self._settings = label, view, settings
         self._reviewed = self._last = Look.of(first.frame.cloud.xyz_m, start)
-        self._boxes, self._times = [start], [first.time]
+        self._seen = [(start, first.T_camera_world, first.time)]
 
     def expected(self, moment: Moment) -> OrientedBox:
-        """The box at another time, if the object keeps its motion."""
-        return predicted(self._boxes[-MOTION_BOXES:], self._times[-MOTION_BOXES:], moment.time)
+        """The box at another time, if the object keeps its motion in the world."""
+        boxes = [moved(box, T_camera_world, moment.T_camera_world) for box, T_camera_world, _ in self._seen]
+        return predicted(boxes, [time for *_, time in self._seen], moment.time)
 
     def step(self, moment: Moment) -> Followed:
         """Looks for the object in the next frame; after a frame in which it is not found, there is no next step."""
@@ -48,8 +49,8 @@ class Follower:
         looks = self._reviewed, self._last
         followed = follow_object(moment.frame, guess, *looks, self._label, self._view, config)
         if followed.proposal is not None:
-            self._boxes.append(followed.proposal.box)
-            self._times.append(moment.time)
+            seen = followed.proposal.box, moment.T_camera_world, moment.time
+            self._seen = [*self._seen, seen][-MOTION_BOXES:]
             self._last = Look.of(moment.frame.cloud.xyz_m, followed.proposal.box, followed.kept)
         return followed
 

@@ -400,7 +400,7 @@ def follow_from_frame(
     chosen = moving if uid is None else [label_of(page, uid)]
     reviewed = [stored.label for stored in chosen if stored.label.state in REVIEWED]
     if not reviewed:
-        which = "this box is not reviewed" if uid is not None else f"frame {frame.key} has no reviewed box to follow"
+        which = "this box is not reviewed" if uid is not None else "this frame has no reviewed box to follow"
         raise ConfigError(f"{which}; accept {'it' if uid is not None else 'one'} first")
     timeline = Timeline(project, frame.recording_id)
     ends = [_ends_from(timeline, frame_id, label, forward) for label in reviewed]
@@ -408,9 +408,9 @@ def follow_from_frame(
         side = "next" if forward else "previous"
         at_end = any(None in each for each in ends)
         raise ConfigError(
-            f"frame {frame.key} is the {'last' if forward else 'first'} of its recording; there is no {side} frame"
+            f"this is the {'last' if forward else 'first'} frame of its recording; there is no {side} one"
             if at_end
-            else f"the {side} frame of frame {frame.key} has a reviewed box of this track already; go on from there"
+            else f"the {side} frame has a reviewed box of this track already; go on from there"
         )
     return FollowRun(timeline, [[each] for each in ends], view, author, effort=effort)
 

@@ -25,7 +25,7 @@ from annotator.tracking.smooth import are_upright, between, nearest_change, rela
 from annotator.types import OrientedBox, ReviewState
 from annotator.types.errors import RecordingError
 from annotator.workflows.tracks.propose_boxes import Surroundings, changed_box
-from annotator.workflows.tracks.timeline import OpenRecording, Timeline
+from annotator.workflows.tracks.timeline import Motion, OpenRecording, Timeline
 
 MIN_SIZE_M = 0.01
 
@@ -58,14 +58,21 @@ def moved_along(
     if not any(boxes for boxes, _ in sides):
         return []
     frames = {each.id: each for each in project.frames.of([frame.recording_id])}
-    times = _times(project, frame.recording_id, frames, recordings)
+    times, motion = _times(project, frame.recording_id, frames, recordings), Motion(project, frame.recording_id)
     there = Surroundings(project, [(frames[each.frame_id], each.label.box, track_id) for each in along])
     new: list[tuple[StoredFrame, StoredLabel, OrientedBox]] = []
     for boxes, end in sides:
         present = [
             each for each in boxes if each.frame_id in times and not there.is_finalised(frames[each.frame_id], each)
         ]
-        for each, change in _changes(present, end, was, now, times, times[frame.id]):
+        if end is not None and end.frame_id not in times:
+            continue
+        # they are compared in the world, as the camera of the corrected box sees it
+        beside = [
+            (motion.moved(each.label.box, each.frame_id, frame.id), abs(times[each.frame_id] - times[frame.id]))
+            for each in (*present, *([] if end is None else [end]))
+        ]
+        for each, change in zip(present, _changes(beside, end is not None, was, now), strict=False):
             new.append((frames[each.frame_id], each, corrected_alike(each.label.box, *change)))
     there = Surroundings(project, [(at, box, track_id) for at, _, box in new])
     return [(at, events) for at, each, box in new if (events := changed_box(there, at, each, box=box))]
@@ -107,28 +114,24 @@ def _times(
 Change = tuple[OrientedBox, OrientedBox]
 
 
-def _changes(
-    boxes: Sequence[StoredLabel],
-    end: StoredLabel | None,
-    was: OrientedBox,
-    now: OrientedBox,
-    times: Mapping[int, float],
-    time: float,
-) -> list[tuple[StoredLabel, Change]]:
-    """The boxes of a side, each with the change (before, after) that it is to follow; empty if that side stays."""
-    if not boxes or (end is not None and end.frame_id not in times):
+def _changes(side: Sequence[tuple[OrientedBox, float]], ends: bool, was: OrientedBox, now: OrientedBox) -> list[Change]:
+    """The changes (before, after) that the boxes of a side are to follow, from the first on; empty if the side stays.
+
+    Args:
+        side: its boxes, and how far away in time they are.
+        ends: whether the last one is reviewed, and stays.
+    """
+    beside, away = [box for box, _ in side], [time for _, time in side]
+    if len(side) == ends:
         return []
-    beside = [each.label.box for each in boxes]
-    away = [abs(times[each.frame_id] - time) for each in boxes]
-    if end is None:
-        return [(each, (was, now)) for each in boxes[: _alike(beside, away, was, now)]]
-    whole = abs(times[end.frame_id] - time)
+    if not ends:
+        return [(was, now)] * _alike(beside, away, was, now)
     # of a turn by 90 or 180 degrees: the part that is not shared, since half of it would be wrong everywhere
     turn = nearest_change(was, now, relabellings(are_upright([was, now])))
-    before, after = (between(box, end.label.box, 0.0, whole, away) for box in (relabelled(was, turn), now))
+    before, after = (between(box, beside[-1], 0.0, away[-1], away[:-1]) for box in (relabelled(was, turn), now))
     before = [relabelled(box, turn.T) for box in before]
     stays = _apart(beside[0], after[0]) < _apart(beside[0], before[0])
-    return [] if stays else list(zip(boxes, zip(before, after, strict=True), strict=True))
+    return [] if stays else list(zip(before, after, strict=True))
 
 
 def _alike(beside: Sequence[OrientedBox], away: Sequence[float], was: OrientedBox, now: OrientedBox) -> int:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from annotator.geometry.oriented_box import same_box
 from annotator.project import REVIEWED, FramePart, Project, StoredFrame, StoredLabel, WriteContext, new_action
 from annotator.project.changes import LabelChanged, TracksLinked
 from annotator.project.classes.attributes import AttributeOf
@@ -115,11 +116,12 @@ class _Recording:
             for stored in labels
         )
         self._proposed = project.proposals.boxes(recording_id)
+        self._timeline = timeline
         # KITTI's cameras are on a moving car
-        self._is_still = not isinstance(timeline.recording, KittiFolder)
+        self._is_still = timeline.motion.is_known or not isinstance(timeline.recording, KittiFolder)
         self._times = [float(timeline.times[timeline.index[frame.id]]) for frame in self.frames]
         seen = [
-            [Seen(stored.label.label, self._box(stored), _given(stored, frame)) for stored in labels]
+            [Seen(stored.label.label, self._first(frame, stored), _given(stored, frame)) for stored in labels]
             for frame, labels in zip(self.frames, self.labels, strict=True)
         ]
         self.tracks = link(seen, self._times)
@@ -194,6 +196,10 @@ class _Recording:
         """Returns a label's box as proposed, or as changed by an operator."""
         return self._proposed[stored.label.uid] if self._may_move(stored) else stored.label.box
 
+    def _first(self, frame: StoredFrame, stored: StoredLabel) -> OrientedBox:
+        """Returns that box as the camera of the first frame would see it: so only the object's own motion is left."""
+        return self._timeline.moved(self._box(stored), self._timeline.index[frame.id], 0)
+
     def _may_move(self, stored: StoredLabel) -> bool:
         """Returns True for unreviewed proposals of the recursion; interpolated ones are smooth already."""
         return stored.label.state is ReviewState.PROPOSED and stored.label.uid in self._proposed
@@ -206,9 +212,13 @@ class _Recording:
             for (index, _), each in zip(track.members, members, strict=True):
                 score = 1.0 if each.label.score is None else float(np.clip(each.label.score, MIN_WEIGHT, 1.0))
                 is_fixed = self.frames[index].finalised or not self._may_move(each)
-                boxes.append(TrackBox(self._times[index], self._box(each), score, is_fixed))
-            smooth = zip(members, boxes, smoothed(boxes, self._is_still), strict=True)
-            smoothed_boxes |= {each.label.uid: box for each, before, box in smooth if not before.is_fixed}
+                box = self._first(self.frames[index], each)
+                boxes.append(TrackBox(self._times[index], box, score, is_fixed))
+            smooth = zip(track.members, members, boxes, smoothed(boxes, self._is_still), strict=True)
+            for (index, _), each, before, box in smooth:
+                if not before.is_fixed and not same_box(before.box, box):
+                    place = self._timeline.index[self.frames[index].id]
+                    smoothed_boxes[each.label.uid] = self._timeline.moved(box, 0, place)
         return smoothed_boxes
 
 

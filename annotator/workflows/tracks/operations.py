@@ -1,5 +1,5 @@
-"""What is done to a whole track, or to a span of it: its class, its number (split and merge), its size, its values;
-boxes are deleted, and gaps filled. Each is one action, whose effect is counted before it happens.
+"""What is done to a whole track, or to a span of it: its class, its number (split and merge), its size, its values, its
+motion; boxes are deleted, and gaps filled. Each is one action, whose effect is counted before it happens.
 
 A track is seen from one recording of its rig. Rejected boxes, and those in finalised frames, stay as they are; a
 reviewed box changes only if the count says so. An open proposal does not change so that it would cover a reviewed box.
@@ -7,20 +7,31 @@ reviewed box changes only if the count says so. An open proposal does not change
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field
 
+from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import same_box
 from annotator.project import REVIEWED, Effort, Project, StoredFrame, StoredLabel, WriteContext, new_action
-from annotator.project.changes import ChangedValues, LabelChanged, LabelDeleted, NewLabel, Payload
+from annotator.project.changes import (
+    ChangedValues,
+    LabelChanged,
+    LabelDeleted,
+    NewLabel,
+    Origin,
+    Payload,
+    StillEnded,
+    StillMade,
+)
 from annotator.project.classes.attributes import Attribute, AttributeOf
 from annotator.project.lanes import read_lanes
+from annotator.project.stills import Sighting
 from annotator.tracking.link import MAX_GAP, MOTION_BOXES, predicted
 from annotator.tracking.smooth import between
 from annotator.types import OrientedBox, ReviewState
@@ -29,8 +40,8 @@ from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionErro
 from annotator.types.label import MOST_TRACK, AttributeValue
 from annotator.types.messages import alternatives, amount
 from annotator.workflows.tracks.propose_boxes import Surroundings, changed_box, proposal_events, proposal_like
-from annotator.workflows.tracks.timeline import OpenRecording, Timeline
-from annotator.workflows.workbench.save_object import parts_of_frames
+from annotator.workflows.tracks.timeline import Motion, OpenRecording, Timeline
+from annotator.workflows.workbench.save_object import frame_parts, parts_of_frames
 
 
 class Count(Strict):
@@ -76,11 +87,13 @@ class Step:
 
     Attributes:
         count: of this frame.
+        sees: uid of an object that stands still from now on; this frame has had a box of it.
     """
 
     frame: StoredFrame
     events: Sequence[Payload]
     count: Count
+    sees: str | None = None
 
 
 FINALISED, COVERED = Count(finalised=1), Count(covered=1)
@@ -128,6 +141,11 @@ class Track:
                 # one that stands still has the same box in all frames
                 found.setdefault(each.still or each.label.uid, each)
         return [(self.frames[each.frame_id], each) for each in found.values()]
+
+    def of_frames(self) -> list[tuple[StoredFrame, StoredLabel]]:
+        """Its box in each frame, rejected ones too."""
+        along = self.project.labels.along(self.recording_id, tracks=[self.track_id])
+        return [(self.frames[each.frame_id], each) for each in along]
 
     def in_span(self) -> list[tuple[StoredFrame, StoredLabel]]:
         """Its boxes in the span."""
@@ -260,14 +278,15 @@ def likeliest(track: Track) -> int | None:
     near = sorted(near)[:MOST_LIKELY]
     along = track.project.labels.along(track.recording_id, tracks=[number for _, number, _, _ in near])
     others = {(each.label.track_id, each.frame_id): each.label for each in along if not is_rejected(each)}
-    costs = dict[int, float]()
+    costs, motion = dict[int, float](), Motion(track.project, track.recording_id)
     for gap, number, here, there in near:
         label, other = own[here], others[number, lanes.frames[there]]
         if other.label == label.label:
             order = mine[mine <= here] if there > here else mine[mine >= here][::-1]
             known = order[-MOTION_BOXES:].tolist()
-            moved = predicted([own[place].box for place in known], [float(place) for place in known], float(there))
-            apart_m = min(float(np.linalg.norm(box.center_m - other.box.center_m)) for box in (label.box, moved))
+            before = [motion.moved(own[at].box, lanes.frames[at], lanes.frames[there]) for at in known]
+            last, moved = before[-1], predicted(before, [float(place) for place in known], float(there))
+            apart_m = min(float(np.linalg.norm(box.center_m - other.box.center_m)) for box in (last, moved))
             costs[number] = apart_m / float(label.box.size_m.max()) + gap / MAX_GAP
     return min(costs, key=lambda number: costs[number], default=None)
 
@@ -354,8 +373,9 @@ class Delete(_OfSpan):
 class Fill(_OfSpan):
     """A box is proposed in each frame that has none and is between two boxes of the track.
 
-    Centre, size and rotation are interpolated by the frames' times if they are recorded, else by their indices. With
-    `refit`, whoever applies it then fits each box to the points of its frame (`refit_run`), which takes longer.
+    Centre, size and rotation are interpolated in the world, by the frames' times if they are recorded, else by their
+    indices. With `refit`, whoever applies it then fits each box to the points of its frame (`refit_run`), which takes
+    longer.
     """
 
     do: Literal["fill"] = "fill"
@@ -369,8 +389,10 @@ class Fill(_OfSpan):
         for (start, before), (end, after) in pairwise(boxes):
             gap = [place for place in range(start + 1, end) if timeline.frames[place].id in track.inside]
             ends = times[start], times[end]
-            new = between(before.label.box, after.label.box, *ends, [times[place] for place in gap])
-            for place, box in zip(gap, new, strict=True):
+            for place in gap:
+                # what stands still in the world does so between them
+                known = timeline.moved(before.label.box, start, place), timeline.moved(after.label.box, end, place)
+                (box,) = between(*known, *ends, [times[place]])
                 # the values of the box that is nearer in time
                 is_later = times[place] - ends[0] > ends[1] - times[place] and after.label.label == before.label.label
                 values = (after if is_later else before).label.attributes
@@ -387,7 +409,88 @@ class Fill(_OfSpan):
                 yield Step(frame, (), COVERED)
 
 
-Operation = SetClass | SetNumber | Merge | SetSize | SetValues | Delete | Fill
+# 3D IoU from which two boxes are of an object at one place.
+AGREE_IOU = 0.6
+
+
+class StandStill(_OfSpan):
+    """The object stands still: its box in a frame becomes the one in the world, which all frames that see it show.
+
+    Open proposals in other frames go, and so do reviewed boxes that agree with it (3D IoU `AGREE_IOU`); there it is
+    seen in any case. Other boxes stay, as exceptions.
+
+    Attributes:
+        frame: id of the frame whose box is taken; None = the first one with a reviewed box.
+    """
+
+    do: Literal["still"] = "still"
+    frame: FrameId | None = None
+
+    def steps(self, track: Track) -> Iterator[Step]:
+        boxes, T_camera_world = track.of_frames(), track.project.stills.poses(track.recording_id)
+        if any(each.still is not None for _, each in boxes):
+            raise ConfigError(f"{track.name} stands still already")
+        frame, chosen = self._chosen(track, T_camera_world)
+        box, made = chosen.label.box.transformed(T_camera_world[frame.id].inv()), StillMade(uid=chosen.label.uid)
+        yield Step(frame, [made], Count(changed=1, reviewed=chosen.label.state in REVIEWED), made.still)
+        there = track.around()
+        for other, stored in boxes:
+            if other.id == frame.id:
+                continue
+            is_reviewed, T = stored.label.state in REVIEWED, T_camera_world.get(other.id)
+            agrees = T is not None and iou_3d(stored.label.box, box.transformed(T)) >= AGREE_IOU
+            if is_rejected(stored) or (is_reviewed and not agrees):
+                yield Step(other, (), COVERED)
+            elif there.is_finalised(other, stored):
+                yield Step(other, (), FINALISED)
+            else:
+                gone = [LabelDeleted(uid=stored.label.uid)]
+                yield Step(other, gone, Count(deleted=1, reviewed=is_reviewed), made.still if is_reviewed else None)
+
+    def _chosen(self, track: Track, posed: Container[int]) -> tuple[StoredFrame, StoredLabel]:
+        if self.frame is None:
+            which, there = "reviewed box", [pair for pair in track.boxes if pair[1].label.state in REVIEWED]
+        else:
+            which, there = "box in this frame", [pair for pair in track.boxes if pair[0].id == self.frame]
+        if not there:
+            raise ConfigError(f"{track.name} has no {which}")
+        if (found := next((pair for pair in there if pair[0].id in posed), None)) is None:
+            raise ConfigError(
+                f"{track.name} cannot stand still: the recording does not say where its camera was; add it again if "
+                "its files do"
+            )
+        return found
+
+
+class Move(_OfSpan):
+    """The object moves: its one box in the world becomes a box of each frame that sees it.
+
+    It stays reviewed in one frame, and in finalised ones; in the others it is a proposal, which the correction of the
+    next box moves along.
+
+    Attributes:
+        frame: id of the frame in which it stays; None = the first one.
+    """
+
+    do: Literal["moving"] = "moving"
+    frame: FrameId | None = None
+
+    def steps(self, track: Track) -> Iterator[Step]:
+        ones = [(frame, each) for frame, each in track.of_frames() if each.still is not None]
+        if not ones:
+            raise ConfigError(f"{track.name} does not stand still, or no frame was found that sees it")
+        first = next((pair for pair in ones if self.frame in (None, pair[0].id)), None)
+        if first is None:
+            raise NotFoundError(f"{track.name} has no box in this frame")
+        for frame, each in sorted(ones, key=lambda pair: pair[0].id != first[0].id):
+            ended: list[Payload] = [StillEnded(uid=each.label.uid)] if frame.id == first[0].id else []
+            new = proposal_like(each.label, each.label.box, track.track_id, origin=Origin.COPIED)
+            if stays := bool(ended) or frame.finalised:
+                new = replace(new, state=each.label.state, origin=None)
+            yield Step(frame, [*ended, new], Count(changed=stays, proposed=not stays))
+
+
+Operation = SetClass | SetNumber | Merge | SetSize | SetValues | Delete | Fill | StandStill | Move
 AnyOperation = Annotated[Operation, Field(discriminator="do")]
 
 # Attempts to apply an operation to frames that change at the same time.
@@ -410,6 +513,8 @@ class Done:
 
 def _require_moving(track: Track, operation: Operation) -> None:
     """Refuses what an object that stands still cannot have: parts, another number, and gaps."""
+    if isinstance(operation, Move):
+        return
     boxes, is_numbered = list(track.boxes), isinstance(operation, SetNumber)
     if isinstance(operation, SetNumber) and operation.number is not None:
         boxes += track.boxes_of(operation.number)
@@ -459,16 +564,23 @@ def apply(
             done = Done(count, new_action(), tuple((step.frame.id, step.events) for step in steps if step.events))
             if dry_run:
                 return done
-            changed = sorted((step for step in steps if step.events), key=lambda step: step.frame.id != at)
+            is_motion = isinstance(operation, StandStill | Move)
+            changed = [step for step in steps if step.events]
+            changed = changed if is_motion else sorted(changed, key=lambda step: step.frame.id != at)
             changes = [(step.frame, step.events) for step in changed]
             # what follows from another label of the track does not keep a proposal from being replaced
             first = changes[0][1][0]
             is_along = isinstance(operation, SetValues) and operation.is_of_tracks(track)
             target = first.uid if is_along and isinstance(first, LabelChanged) else None
-            parts = parts_of_frames(project, changes, WriteContext(0, author, effort=effort, effort_target=target))
+            context = WriteContext(0, author, effort=effort, effort_target=target)
+            # the object is where it was, so the 2D boxes that show it stay
+            parts = (frame_parts if is_motion else partial(parts_of_frames, project))(changes, context)
         try:
             new_tracks = [count.number] if new_track and count.number else []
-            project.log.append_to_frames(parts, done.action, new_tracks)
+            if seen := [Sighting(each.sees, each.frame.id, each.frame.moment_id, True) for each in steps if each.sees]:
+                project.stills.change(parts, seen, done.action)
+            else:
+                project.log.append_to_frames(parts, done.action, new_tracks)
         except StaleRevisionError:
             continue
         return done

@@ -18,6 +18,7 @@ from annotator.rcv.starts import WarmStart
 from annotator.tracking.link import Seen, link, overlap_at_place
 from annotator.types import Label, OrientedBox, Proposal, ReviewState, Source
 from annotator.types.errors import NotFoundError, StaleRevisionError
+from annotator.workflows.tracks.timeline import Motion
 
 Changed = tuple[tuple[int, Receipt], ...]
 """The changed frames: (frame id, receipt) each."""
@@ -135,7 +136,7 @@ def page_at(project: Project, frame_id: int, revision: int) -> FramePage:
     """Returns the state of a frame that an operator has seen at a revision; StaleRevisionError if it has changed."""
     page = read_page(project, frame_id)
     if page.frame.revision != revision:
-        raise StaleRevisionError(f"frame {page.frame.key}", revision, page.frame.revision)
+        raise StaleRevisionError("this frame", revision, page.frame.revision)
     return page
 
 
@@ -143,7 +144,7 @@ def label_of(page: FramePage, uid: str) -> StoredLabel:
     """Returns a label of a frame, as it was when the frame was read."""
     label = next((stored for stored in page.labels if stored.label.uid == uid), None)
     if label is None:
-        raise NotFoundError(f"frame {page.frame.key} has no label {uid}; reload the frame")
+        raise NotFoundError(f"this frame has no label {uid}; reload it")
     return label
 
 
@@ -234,13 +235,15 @@ def seeds_of(project: Project, frame: StoredFrame) -> tuple[WarmStart, ...]:
 
 
 def reviewed_before(project: Project, frame: StoredFrame) -> tuple[Label, ...]:
-    """Returns the labels of `seeds_of`, in the same order."""
+    """Returns the labels of `seeds_of`, in the same order, as if they stood still in the world."""
     if not project.recordings.get(frame.recording_id).is_sequence:
         return ()
     previous_id = neighbours(project, frame)[0]
     if previous_id is None:
         return ()
-    return tuple(label for label in project.labels.of_frame(previous_id) if label.state in REVIEWED)
+    reviewed = [label for label in project.labels.of_frame(previous_id) if label.state in REVIEWED]
+    motion = Motion(project, frame.recording_id, [previous_id, frame.id])
+    return tuple(replace(label, box=motion.moved(label.box, previous_id, frame.id)) for label in reviewed)
 
 
 def followed_tracks(project: Project, frame: StoredFrame, proposals: Sequence[Proposal]) -> list[int | None]:

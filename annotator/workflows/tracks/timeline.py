@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from bisect import bisect
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Float64
@@ -13,12 +14,14 @@ from annotator.project import REVIEWED, Project, StoredFrame
 from annotator.recordings.frame_times import recorded_times
 from annotator.recordings.recording import Recording
 from annotator.tracking.link import frame_times
-from annotator.types import Frame, Label
+from annotator.types import Frame, Label, OrientedBox
 from annotator.types.errors import ConfigError
 from annotator.workflows.frame_source import FrameSource
 
 OpenRecording = Callable[[int], Recording]
 """Gives the open recording with an id, which may be kept; raises RecordingError if it cannot be opened."""
+
+Matrix = Float64[np.ndarray, "4 4"]
 
 # Objects that are followed from the same frame need the same frames at about the same time; others read them again.
 FRAMES_KEPT = 4
@@ -32,6 +35,11 @@ class Moment:
     frame: Frame
     time: float
 
+    @cached_property
+    def T_camera_world(self) -> Matrix | None:
+        """The camera's pose; None if it is not known."""
+        return None if self.frame.T_world_camera is None else self.frame.T_world_camera.inv().as_matrix()
+
 
 @dataclass(frozen=True, eq=False)
 class KeyFrame:
@@ -39,6 +47,44 @@ class KeyFrame:
 
     index: int
     label: Label
+
+
+def moved(box: OrientedBox, T_first_world: Matrix | None, T_second_world: Matrix | None) -> OrientedBox:
+    """A box that stands still in the world between two moments, in the frame of the second one's camera.
+
+    Without one of the poses the camera is taken to stand still, too.
+    """
+    if T_first_world is None or T_second_world is None or T_first_world is T_second_world:
+        return box
+    return OrientedBox(T_second_world @ np.linalg.inv(T_first_world) @ box.pose, box.size_m)
+
+
+class Motion:
+    """How the camera of a recording moved, as its poses say; a frame without one has that of the nearest with one."""
+
+    def __init__(self, project: Project, recording_id: int, among: Sequence[int] | None = None) -> None:
+        """
+        Args:
+            among: ids of frames in order; None = all of the recording.
+        """
+        self._T_camera_world = project.stills.pose_matrices(recording_id, among)
+        if not self._T_camera_world:
+            return
+        every = (frame.id for frame in project.frames.of([recording_id]) if frame.index is not None)
+        order = list(every) if among is None else list(among)
+        posed = [n for n, id in enumerate(order) if id in self._T_camera_world]
+        for n, id in enumerate(order):
+            near = min(posed[max(bisect(posed, n) - 1, 0) :][:2], key=lambda other: abs(other - n))
+            self._T_camera_world.setdefault(id, self._T_camera_world[order[near]])
+
+    @property
+    def is_known(self) -> bool:
+        """Whether any frame has a pose."""
+        return bool(self._T_camera_world)
+
+    def moved(self, box: OrientedBox, frame_id: int, to: int) -> OrientedBox:
+        """As `moved`, from a frame to another one (ids)."""
+        return moved(box, self._T_camera_world.get(frame_id), self._T_camera_world.get(to))
 
 
 class Timeline:
@@ -71,6 +117,15 @@ class Timeline:
         )
         # not of `self`, so that the frames are freed with it
         self._read = lru_cache(FRAMES_KEPT)(lambda index: source.read(frames[index]))
+
+    @cached_property
+    def motion(self) -> Motion:
+        """How the camera moved."""
+        return Motion(self.project, self.recording_id)
+
+    def moved(self, box: OrientedBox, index: int, to: int) -> OrientedBox:
+        """As `moved`, from a frame to another one (indices)."""
+        return self.motion.moved(box, self.frames[index].id, self.frames[to].id)
 
     def moment(self, index: int) -> Moment:
         """Reads a frame."""

@@ -16,14 +16,16 @@ Axes keep their names (x, y, z), so the heading stays as the operator set it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
+from scipy import ndimage
 
 from annotator.geometry.ground import ground_axes
-from annotator.geometry.oriented_box import aligned_box, box_corners, canonical_box
+from annotator.geometry.iou import iou_3d
+from annotator.geometry.oriented_box import aligned_box, box_corners, canonical_box, contains, tightest_box
 from annotator.geometry.outline import NEAR_M, box_on_image, visible_edges
 from annotator.geometry.projection import in_frustum, project, thin, undistort_px
 from annotator.geometry.transforms import unit
@@ -35,6 +37,7 @@ from annotator.rcv.known_objects import Span, cut_out
 from annotator.rcv.measure import traced_intervals
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.recursion import ObjectState, absorb_step, box_trace, held_direction, plan_step
+from annotator.rcv.rotations import yaw_grid
 from annotator.rcv.starts import TYPICAL_SIZE
 from annotator.types import (
     Box2D,
@@ -214,6 +217,67 @@ def place_on_ground(
     if placed.points < LEAST_STANDING or _why_no_detector(detector, label, config, None) is not None:
         return placed
     return refit(opened, box, label, config, detector)
+
+
+# What stands on the ground and is in no box: points this far outside a box belong to it, metres; what fills cells side
+# by side, so many times as wide as the ground is thick, is one thing if it has so many points. What is so many times
+# longer or higher than the largest class is a building, and no object; of unknown classes, this long, metres.
+RIM_M, STANDING_CELLS, LEAST_OF_THING, BUILDING, LONGEST_M = 0.1, 2.0, 20, 1.5, 12.0
+# 3D IoU with what stands there, below which the detector has measured something else.
+SAME_THING = 0.25
+
+
+def next_unlabelled(
+    opened: OpenFrame,
+    boxes: Iterable[OrientedBox],
+    beyond_m: float,
+    label: str,
+    classes: Iterable[str],
+    config: RcvConfig,
+    detector: Detector | None,
+) -> tuple[FoundBox, float]:
+    """The nearest thing in the camera's sight that stands on the ground in no box, and how far away it is, metres.
+
+    Args:
+        boxes: what is labelled, camera frame.
+        beyond_m: only what is farther away.
+        label: the class with which the detector measures it.
+        classes: those of the project, which tell how large an object may be.
+    """
+    frame, ground = opened.frame, opened.ground
+    known = (*config.typical_sizes, *config.reviewed_sizes)
+    sizes = [typical_size(name, known) for name in classes]
+    most_m = BUILDING * max((max(size.size_m) if size else LONGEST_M for size in sizes), default=LONGEST_M)
+    highest_m = BUILDING * max((size.size_m[2] if size else LONGEST_M for size in sizes), default=LONGEST_M)
+    xyz_m, above_m = frame.cloud.xyz_m, ground.above_m(frame.cloud.xyz_m)
+    stands = (above_m > ground.thickness_m) & (above_m < highest_m)
+    for each in boxes:
+        stands &= ~contains(each, xyz_m, RIM_M)
+    level = xyz_m @ ground.axes[:2].T
+    stands &= ((level >= ground.low_m) & (level < ground.high_m)).all(axis=1)
+    cells = ((level[stands] - ground.low_m) / (STANDING_CELLS * ground.thickness_m)).astype(np.int64)
+    filled = np.zeros(cells.max(axis=0, initial=0) + 1, bool)
+    filled[tuple(cells.T)] = True
+    thing = ndimage.label(filled, np.ones((3, 3)))[0][tuple(cells.T)]
+    order = np.flatnonzero(stands)[np.argsort(thing, kind="stable")]
+    found: list[tuple[float, OrientedBox]] = []
+    for points in np.split(order, np.cumsum(np.bincount(thing))[:-1]) if len(order) else ():
+        if len(points) < LEAST_OF_THING or np.ptp(level[points], axis=0).max() > most_m:
+            continue
+        # down to the ground
+        feet_m = xyz_m[points] - above_m[points, None] * ground.axes[2]
+        distance_m = float(np.linalg.norm(feet_m.mean(axis=0)))
+        if distance_m > beyond_m:
+            both_m = np.concatenate([xyz_m[points], feet_m]).astype(np.float64)
+            found.append((distance_m, tightest_box(both_m, yaw_grid(ground.axes[2]), ground.axes[2])))
+    for distance_m, box in sorted(found, key=lambda each: each[0]):
+        (u, v) = project(frame.camera, box.center_m[None])[0]
+        if 0 <= u < frame.camera.width_px and 0 <= v < frame.camera.height_px:
+            box = canonical_box(box, ground.axes[2])
+            fitted = refit(opened, box, label, config, detector)
+            is_same = fitted.box is not None and iou_3d(fitted.box, box) >= SAME_THING
+            return fitted if is_same else _result(opened, box, None, None), distance_m
+    return not_found("nothing else stands here that nobody has labelled"), beyond_m
 
 
 def _found(

@@ -122,7 +122,7 @@ def save_object(
     """
     page = read_page(project, frame_id)
     if page.frame.revision != context.revision:
-        raise StaleRevisionError(f"frame {page.frame.key}", context.revision, page.frame.revision)
+        raise StaleRevisionError("this frame", context.revision, page.frame.revision)
     if drawn is not None and drawn.image_box not in image_boxes:
         raise ConfigError("the object's image_box is not among image_boxes; send all boxes of the image")
     on_image = ImageBoxesSet(boxes=tuple(image_boxes), box_kind=kind)
@@ -336,13 +336,20 @@ def parts_of_frames(
     """
     uids = [e.uid for _, events in changes for e in events if isinstance(e, LabelChanged | LabelDeleted)]
     drawn, parts = project.labels.drawn_on_images(uids), list[FramePart]()
-    for frame, events in changes:
-        context = replace(context, revision=frame.revision, effort=None if parts else context.effort)
+    for part, (frame, events) in zip(frame_parts(changes, context), changes, strict=True):
         if drawn and any(isinstance(e, LabelChanged | LabelDeleted) and e.uid in drawn for e in events):
-            parts += parts_of(project, read_page(project, frame.id), events, context)
+            parts += parts_of(project, read_page(project, frame.id), events, part.context)
         else:
-            parts.append(FramePart(frame.id, events, context))
+            parts.append(part)
     return parts
+
+
+def frame_parts(changes: Sequence[tuple[StoredFrame, Sequence[Payload]]], context: WriteContext) -> list[FramePart]:
+    """Changes of several frames, each at its revision; the first one has the effort."""
+    return [
+        FramePart(frame.id, events, replace(context, revision=frame.revision, effort=None if nth else context.effort))
+        for nth, (frame, events) in enumerate(changes)
+    ]
 
 
 def _in_other_frames(
@@ -413,14 +420,14 @@ def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: 
     page = read_page(project, frame_id)
     frame = page.frame
     if frame.finalised:
-        raise ConfigError(f"frame {frame.key} is finalised; reopen it first")
+        raise ConfigError("this frame is finalised; reopen it first")
     if source_id is None:
         source_id = page.previous
         if source_id is None:
-            raise ConfigError(f"frame {frame.key} is the first of its recording; there is no previous frame to copy")
+            raise ConfigError("this is the first frame of its recording; there is no previous one to copy")
     if source_id == frame_id:
-        raise ConfigError(f"frame {frame.key} cannot be copied into itself")
-    source = project.frames.get(source_id)
+        raise ConfigError("a frame cannot be copied into itself")
+    project.frames.get(source_id)
     # an object that stands still has its box in the frames that see it
     own = (each.label for each in project.labels.of_moment(source_id) if each.is_own and each.still is None)
     boxes = [label for label in own if label.state in REVIEWED]
@@ -429,7 +436,5 @@ def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: 
     payloads = proposal_events(around(project, frame, copies), frame, copies, where_rejected=True)
     if not payloads:
         whys = dict.fromkeys(why_left_out(copy, page.labels) for copy in copies)
-        raise ConfigError(
-            f"nothing was copied from frame {source.key}: {'; '.join(whys) or 'it has no reviewed boxes'}"
-        )
+        raise ConfigError(f"nothing was copied: {'; '.join(whys) or 'the other frame has no reviewed boxes'}")
     return project.log.append(frame_id, payloads, context)

@@ -197,7 +197,7 @@ def test_statistics_follow_the_work_and_checks_lead_to_its_boxes(shared_page: Pa
     selected = page.locator('[data-testid="frame-box"][aria-current="true"]')
     expect(selected).to_have_attribute("data-uid", made.uids[0])
     page.goto(f"/#/{room.path.name}/checks")
-    link = page.get_by_test_id("checks-attribute").get_by_test_id("warning").filter(has_text="000001")
+    link = page.get_by_test_id("checks-attribute").get_by_test_id("warning").filter(has_text="frame 2")
     expect(link).to_contain_text("this frame has no value of rain, which is required")
     link.click()
     expect(page).to_have_url(re.compile(rf"/annotate/{other.id}$"))
@@ -243,8 +243,8 @@ def test_a_coco_file_becomes_proposals_and_a_bad_one_says_why(
     # what is wrong with a file is said, and a class that the project lacks can be added
     content = json.dumps(coco(generated))
     register_recording(room, open_recording(generated / "hands"))
-    start.goto(f"/#/{room.path.name}/train")
-    start.get_by_test_id("import-boxes").click()
+    start.goto("/#/")
+    start.get_by_test_id(f"import-boxes-{name}").click()
     dialog, file = start.get_by_test_id("boxes-dialog"), start.get_by_test_id("boxes-file")
     (tmp_path / "torn.json").write_text(content[:-40])
     file.set_input_files(tmp_path / "torn.json")
@@ -267,7 +267,9 @@ def test_a_coco_file_becomes_proposals_and_a_bad_one_says_why(
     expect(dialog.get_by_role("alert")).not_to_be_empty()
     start.unroute(f"**/projects/{room.path.name}/jobs")
     start.get_by_test_id("dialog-import").click()
-    expect(start.get_by_test_id("job-boxes-text")).to_contain_text("imported as 2D boxes: 1 dog on 2 camera images")
+    imported = card.get_by_test_id("job-import-text")
+    expect(imported).to_contain_text("imported as 2D boxes: 1 dog on 2 camera images")
+    start.goto(f"/#/{room.path.name}/train")
     expect(start.get_by_test_id("lift")).to_contain_text("1 frame has 2D boxes on the image, but no 3D boxes")
 
 

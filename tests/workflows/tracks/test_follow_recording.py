@@ -220,20 +220,20 @@ def test_an_unreadable_frame_is_named_where_it_stops(room: Room, monkeypatch: py
 
 
 def test_what_cannot_be_followed_is_refused(room: Room) -> None:
-    with pytest.raises(ConfigError, match="frame 000000 has no reviewed box to follow; accept one first"):
+    with pytest.raises(ConfigError, match="this frame has no reviewed box to follow; accept one first"):
         room.run()
     for index in (0, 1, 4):
         (uid,) = room.accept(index, 1)
     with pytest.raises(StaleRevisionError):
         follow_from_frame(room.project, room.frames[0].id, 0, room.view, ANN)
     for match, index, forward in (
-        ("frame 000000 is the first of its recording", 0, False),
-        ("frame 000004 is the last of its recording", 4, True),
-        ("the next frame of frame 000000 has a reviewed box of this track already", 0, True),
+        ("this is the first frame of its recording", 0, False),
+        ("this is the last frame of its recording", 4, True),
+        ("the next frame has a reviewed box of this track already", 0, True),
     ):
         with pytest.raises(ConfigError, match=match):
             room.run(index, forward=forward)
-    with pytest.raises(NotFoundError, match="frame 000000 has no label nobody"):
+    with pytest.raises(NotFoundError, match="this frame has no label nobody"):
         room.run(uid="nobody")
     room.project.labels.reject(room.frames[4].id, uid, room.context(4))
     with pytest.raises(ConfigError, match="this box is not reviewed; accept it first"):

@@ -20,8 +20,8 @@ from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.exporting import ExportFormat, export_project
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.tracks.operations import Delete, Fill, SetClass, SetNumber, apply
-from annotator.workflows.tracks.still_objects import candidates, find_sightings, make_moving, make_still
+from annotator.workflows.tracks.operations import Delete, Fill, Move, SetClass, SetNumber, StandStill, apply
+from annotator.workflows.tracks.still_objects import candidates, find_sightings
 
 ANN, FRAMES, STILL = "ann", 8, 3
 AHEAD = np.array([1.0, 0.0, 0.0])
@@ -81,7 +81,7 @@ def tour(recording: Recording, truth: list[Truth], tmp_path: Path) -> Tour:
 def test_one_look_labels_all_frames_that_see_it(tour: Tour) -> None:
     tour.put(0)
     assert tour.shown()[1:] == [None] * (FRAMES - 1)
-    make_still(tour.project, 1, STILL, ANN)
+    apply(tour.project, 1, STILL, StandStill(), ANN)
     assert [label is not None for label in tour.shown()] == [True] + [False] * (FRAMES - 1), "not looked for yet"
     looked = list[int]()
     # where an operator has had a box of it, nothing is to be looked for
@@ -96,7 +96,7 @@ def test_one_look_labels_all_frames_that_see_it(tour: Tour) -> None:
 
 def test_an_edit_anywhere_is_one_everywhere_but_a_frame_may_differ(tour: Tour) -> None:
     tour.put(0)
-    make_still(tour.project, 1, STILL, ANN)
+    apply(tour.project, 1, STILL, StandStill(), ANN)
     find_sightings(tour.project, 1)
     before, events = tour.shown(), tour.project.log.last()
     assert all(before)
@@ -128,26 +128,29 @@ def test_an_edit_anywhere_is_one_everywhere_but_a_frame_may_differ(tour: Tour) -
 def test_what_becomes_of_other_boxes_is_counted_first(tour: Tour) -> None:
     for index, (state, shift_m) in enumerate([(ACCEPTED, 0.0), (PROPOSED, 0.4), (ACCEPTED, 0.01), (ACCEPTED, 1.0)]):
         tour.put(index, state, shift_m)
-    counted = make_still(tour.project, 1, STILL, ANN, dry_run=True)
-    assert counted.words() == "replaces 1 other reviewed box and 1 proposal; unchanged: 1, which stay as exceptions"
+    counted = apply(tour.project, 1, STILL, StandStill(), ANN, dry_run=True).count
+    does, _, unchanged = counted.words().partition("; ")
+    assert does == "changes 1 box and deletes 2 boxes, 2 of them reviewed"
+    assert unchanged == "unchanged: 1 where a box is reviewed or rejected already"
     assert tour.project.stills.of(1) == ()
     before = tour.shown()
-    assert make_still(tour.project, 1, STILL, ANN) == counted
+    assert apply(tour.project, 1, STILL, StandStill(), ANN).count == counted
     assert [label is not None for label in tour.shown()] == [True, False, True, True, *[False] * 4]
     find_sightings(tour.project, 1)
     assert [iou > 0.999 for iou in tour.ious()] == [True, True, True, False, *[True] * 4]
     with pytest.raises(ConfigError, match="stands still already"):
-        make_still(tour.project, 1, STILL, ANN)
+        apply(tour.project, 1, STILL, StandStill(), ANN)
     tour.project.history.undo(ANN)
     assert [label and label.uid for label in tour.shown()] == [label and label.uid for label in before]
 
 
 def test_a_track_that_moves_after_all_has_proposals(tour: Tour) -> None:
     tour.put(0)
-    make_still(tour.project, 1, STILL, ANN)
+    apply(tour.project, 1, STILL, StandStill(), ANN)
     find_sightings(tour.project, 1)
     before = tour.ious()
-    assert make_moving(tour.project, 1, STILL, ANN, frame_id=tour.frames[2].id).made == FRAMES
+    counted = apply(tour.project, 1, STILL, Move(frame=tour.frames[2].id), ANN).count
+    assert (counted.changed, counted.proposed) == (1, FRAMES - 1)
     states = [label.state if label else None for label in tour.shown()]
     assert states == [PROPOSED] * 2 + [ACCEPTED] + [PROPOSED] * 5
     assert tour.ious() == pytest.approx(before)
@@ -159,7 +162,7 @@ def test_a_track_that_moves_after_all_has_proposals(tour: Tour) -> None:
 
 def test_whole_track_operations_take_it_as_one_box(tour: Tour) -> None:
     tour.put(0)
-    make_still(tour.project, 1, STILL, ANN)
+    apply(tour.project, 1, STILL, StandStill(), ANN)
     find_sightings(tour.project, 1)
     assert apply(tour.project, 1, STILL, SetClass(label="sofa"), ANN).count.changed == 1
     assert {label.label for label in tour.shown() if label} == {"sofa"}
@@ -182,7 +185,7 @@ def test_tracks_that_may_stand_still_are_named(tour: Tour) -> None:
 
 def test_an_export_has_it_in_every_frame(tour: Tour, tmp_path: Path) -> None:
     tour.put(0)
-    make_still(tour.project, 1, STILL, ANN)
+    apply(tour.project, 1, STILL, StandStill(), ANN)
     find_sightings(tour.project, 1)
     export_project(tour.project, tmp_path / "out", ExportFormat.KITTI)
     files = sorted((tmp_path / "out").rglob("label_2/*.txt"))
@@ -194,4 +197,4 @@ def test_without_poses_nothing_stands_still(people: Project) -> None:
     new = NewLabel("person", OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), np.eye(3), np.ones(3)), track_id=1)
     people.labels.create(frame.id, [new], WriteContext(frame.revision, ANN))
     with pytest.raises(ConfigError, match="does not say where its camera was"):
-        make_still(people, 1, 1, ANN)
+        apply(people, 1, 1, StandStill(), ANN)

@@ -222,10 +222,10 @@ def test_a_box_is_copied_to_its_predicted_position(room: Room) -> None:
     assert iou_3d(label.box, room.box(2)) > 0.6
     assert np.array_equal(label.box.size_m, people.labels.get(uid).label.box.size_m)
     people.labels.accept(frames[2].id, label.uid, room.context(2))
-    with pytest.raises(ConfigError, match=r"in frame 000002: a reviewed box is here already$"):
+    with pytest.raises(ConfigError, match=r"in the next frame: a reviewed box is here already$"):
         copy(room, 1, uid)
     last = room.accept_box(4, room.box(4))
-    with pytest.raises(ConfigError, match="last of its recording"):
+    with pytest.raises(ConfigError, match="this is the last frame of its recording"):
         copy(room, 4, last)
 
 
@@ -265,12 +265,12 @@ def test_boxes_carried_to_other_frames_enclose_what_the_reviewed_one_does(room: 
 
 def test_what_cannot_be_copied_is_refused(room: Room) -> None:
     people, uid = room.project, room.accept_box(0, room.box(0), None)
-    with pytest.raises(NotFoundError, match="has no label gone; reload the frame"):
+    with pytest.raises(NotFoundError, match="this frame has no label gone; reload it"):
         copy(room, 0, "gone")
     with pytest.raises(StaleRevisionError):
         copy(room, 0, uid, 0)
     people.frames.finalise(room.frames[1].id, room.context(1))
-    with pytest.raises(ConfigError, match="frame 000001 is finalised; reopen it first"):
+    with pytest.raises(ConfigError, match="the next frame is finalised; reopen it first"):
         copy(room, 0, uid)
     with people.store.write() as connection:
         connection.execute(recordings.update().values(is_sequence=False))

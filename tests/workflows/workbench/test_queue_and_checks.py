@@ -279,7 +279,7 @@ def test_a_finalised_frame_without_boxes_needs_its_required_values(tmp_path: Pat
         project.frames.finalise(a, WriteContext(1, "ann"))
         project.frames.finalise(b, WriteContext(0, "ann"))
         (warning,) = check_project(project).warnings
-        assert (warning.key, warning.uid) == ("b", None)
+        assert (warning.number, warning.key, warning.uid) == (2, "b", None)
         assert warning.message == "this frame has no value of rain, which is required"
         # a frame that its recording no longer has cannot be completed
         project.recordings.rescan(1, ["a", "c"])

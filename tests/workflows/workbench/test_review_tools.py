@@ -187,8 +187,8 @@ def test_boxes_of_the_previous_frame_are_copied_once(copying: Copying) -> None:
     assert same_box(copied.box, label_at(2.0).box)
     copying.project.labels.accept(copying.ids[1], copied.uid, copying.context(1))
     for index, source, match in (
-        (1, None, r"nothing was copied from frame 000000: a reviewed box is here already$"),
-        (0, None, "is the first of its recording"),
+        (1, None, r"^nothing was copied: a reviewed box is here already$"),
+        (0, None, "this is the first frame of its recording"),
         (0, 0, "cannot be copied into itself"),
     ):
         with pytest.raises(ConfigError, match=match):
@@ -202,16 +202,16 @@ def test_boxes_of_the_previous_frame_are_copied_once(copying: Copying) -> None:
 def test_boxes_that_cannot_be_copied_are_refused_with_the_reason(copying: Copying) -> None:
     project, (uid,) = copying.project, copying.create(0, label_at(0.0, 7))
     copying.reject(0, uid)
-    with pytest.raises(ConfigError, match=r"from frame 000000: it has no reviewed boxes$"):
+    with pytest.raises(ConfigError, match=r"copied: the other frame has no reviewed boxes$"):
         copying.copy(1)
     project.history.undo("ann")
     (other,) = propose(project, copying.ids[1], label_at(0.0).box)
     project.log.append(copying.ids[1], [LabelChanged(uid=other, track_id=9)], copying.context(1, "bob"))
-    match = "from frame 000000: a proposal of track 9 is here; if it is the same object, give both one track$"
+    match = "copied: a proposal of track 9 is here; if it is the same object, give both one track$"
     with pytest.raises(ConfigError, match=match):
         copying.copy(1)
     project.frames.finalise(copying.ids[1], copying.context(1))
-    with pytest.raises(ConfigError, match=r"^frame 000001 is finalised; reopen it first$"):
+    with pytest.raises(ConfigError, match=r"^this frame is finalised; reopen it first$"):
         copying.copy(1)
     assert [label.uid for label in copying.labels(1)] == [other]
 

@@ -4,131 +4,100 @@
  */
 
 import { confirm } from "../dialogs.js";
-import { h } from "../dom.js";
+import { h, nothing } from "../dom.js";
 import { isAborted } from "../errors.js";
 import { createFrameProblem, frameBeside } from "../frame_problem.js";
 import { makeHash } from "../router.js";
-import { createCorrectionPanel } from "./correction_panel.js";
-import { createLevelPanel } from "./level_panel.js";
+import { createControls } from "./controls.js";
 import { createPicture, moved } from "./picture.js";
+import * as settings from "./setting.js";
+import { anglesOf, upOf } from "./level.js";
 
 const NOT_KEPT = "The correction or the level is not kept yet.";
 
 /** @type {Mode["mount"]} */
 export function mount(root, app, until) {
-  /** @type {Api.AlignmentJson | null} */
-  let known = null;
+  /** @type {import("./setting.js").Setting | null} */
+  let setting = null;
+  /** @type {Camera} */
+  let camera;
   /** @type {Vector[]} */
   let points = [];
   let frame = app.state.route.frame;
-  let isBusy = false;
+  /** @type {import("./controls.js").Busy} */
+  let busy = null;
   /** Someone else has adjusted the recording since it was shown. */
   let isOutdated = false;
   /** The frame cannot be read. */
   let isBroken = false;
 
-  const correction = createCorrectionPanel({
-    onChange: show,
-    onKeep: (value) => keep("correction", { correction: value }),
-    onDiscard: discard,
-  });
-  const level = createLevelPanel({
+  const controls = createControls({
     rotation: () => app.state.project.settings.rotation,
-    onChange: show,
-    onPropose: () => void estimateUp(),
-    onKeep: (up) => keep("up", { up }),
-    onDiscard: discard,
+    change(changes) {
+      if (setting !== null) setting = { ...setting, ...changes };
+      show();
+    },
+    propose,
+    keep,
+    discard,
   });
   const picture = createPicture({ onMissing: (url) => void explain(url) });
   const frameProblem = createFrameProblem(picture.host, {
     onRetry: () => void load(),
     onStep: (which) => void leaveBroken(which),
   });
-  // what is set before the recording is known would be lost
-  const aside = h("div.aside", { inert: true }, correction.root, level.root);
-  root.append(h("div.alignment-mode", { "data-testid": "alignment" }, picture.root, aside));
+  root.append(h("div.alignment-mode", { "data-testid": "alignment" }, picture.root, controls.root));
 
-  function hasUnsaved() {
-    return correction.isChanged() || level.isUnsaved();
-  }
+  const hasUnsaved = () => setting !== null && (settings.isCorrected(setting) || settings.isTurnedByHand(setting));
 
   function show() {
-    if (until.aborted || known === null || frame === null) return;
-    const { camera, width, height } = known;
-    const value = correction.value();
+    if (until.aborted || setting === null || frame === null) return;
+    const { stored } = setting;
     picture.set({
-      image: app.path("frames", correction.imageFrame() ?? frame, "recorded.jpg"),
-      camera: { ...camera, width, height },
-      points: moved(points, value),
-      up: level.turned(value),
-      isFirm: level.isKept(),
+      image: app.path("frames", settings.imageFrame(setting) ?? frame, "recorded.jpg"),
+      camera,
+      points: moved(points, settings.correctionOf(setting)),
+      up: settings.turnedUp(setting),
+      isFirm: stored.up !== null && !settings.isTurned(setting),
     });
-    const isOff = isBusy || isBroken;
-    correction.show(isOff);
-    level.show(isOff, isBusy);
+    controls.show(setting, busy, isBroken);
   }
 
   /** Shows what is stored. */
-  function reset() {
-    if (known === null) return;
-    correction.take(known);
-    level.take(known);
-    show();
-  }
-
   function discard() {
-    reset();
+    if (setting !== null) setting = settings.asStored(setting.stored);
+    show();
     if (isOutdated) void load();
   }
 
-  /** Shows an answer. On another frame with the same adjustment, what was not kept yet stays. */
-  function take(/** @type {Api.AlignmentJson} */ answer) {
-    const isSame = known?.recording === answer.recording && known.adjusted === answer.adjusted;
-    // what was not changed is as this frame has it: the files may know another up direction for each
-    const sliders = correction.isChanged() ? correction.value() : null;
-    const [up, proposed] = [level.changed(), level.estimate];
-    known = answer;
+  function take(/** @type {import("./setting.js").Setting} */ next) {
+    const { camera: lens, width, height, points: flatPoints } = next.stored;
+    setting = next;
     isOutdated = false;
-    const flatPoints = answer.points;
+    camera = { ...lens, width, height };
     points = Array.from({ length: flatPoints.length / 3 }, (_, i) => flatPoints.slice(3 * i, 3 * i + 3));
-    picture.setProblem(null);
-    aside.inert = false;
-    reset();
-    if (isSame) putBack(sliders, up, proposed);
-  }
-
-  /**
-   * @param {Api.CorrectionJson | null} sliders null: as stored.
-   * @param {Vector | null} up null: as stored.
-   * @param {Api.EstimatedUp | null} proposed
-   */
-  function putBack(sliders, up, proposed) {
-    level.put(up, proposed);
-    if (sliders !== null) correction.set(sliders);
     show();
-  }
-
-  function fail(/** @type {unknown} */ error) {
-    if (until.aborted || isAborted(error)) return;
-    picture.setProblem(error);
   }
 
   async function load() {
     try {
       frame ??= await app.api.get(app.path("first-frame"));
-      if (frame === null) throw new Error("The project has no recording yet; add one on the start page.");
+      if (until.aborted) return;
+      if (frame === null) {
+        const text = "The cloud over the image is shown once the project has a recording.";
+        return root.replaceChildren(nothing("No recording yet", text, "#/", "All projects"));
+      }
       const own = frame;
       await app.loadFrame(own);
       const answer = await app.api.get(app.path("frames", own, "alignment"));
       if (until.aborted || own !== frame) return;
       isBroken = false;
       frameProblem.hide();
-      take(answer);
+      take(settings.taken(setting, answer));
     } catch (error) {
       if (until.aborted || isAborted(error)) return;
-      isBroken = frame !== null;
-      if (isBroken) frameProblem.show(error);
-      else fail(error);
+      isBroken = true;
+      frameProblem.show(error);
       show();
     }
   }
@@ -152,90 +121,70 @@ export function mount(root, app, until) {
 
   /** Says why an image could not be loaded. */
   async function explain(/** @type {string} */ url) {
+    await app.api.get(url);
+    throw new Error("The image of this frame cannot be shown.");
+  }
+
+  /** Shows that something is being done until it is. */
+  async function during(/** @type {NonNullable<typeof busy>} */ what, /** @type {() => Promise<unknown>} */ act) {
+    busy = what;
+    show();
     try {
-      await app.api.get(url);
-      fail(new Error("The image of this frame cannot be shown."));
-    } catch (error) {
-      fail(error);
+      await act();
+    } finally {
+      busy = null;
+      show();
     }
   }
 
-  /**
-   * Keeps the level or the correction; the other one stays as it is shown. Throws the reason why it cannot be kept.
-   */
-  async function save(
-    /** @type {"up" | "correction"} */ what,
-    /** @type {{ up?: Vector | null, correction?: Api.CorrectionJson }} */ content,
-  ) {
-    if (known === null || frame === null || isBusy) return;
+  /** Keeps the level or the correction; the other one stays as it is shown. Throws the reason why it cannot be kept. */
+  async function keep(/** @type {{ correction: Api.CorrectionJson } | { up: Vector | null }} */ content) {
+    if (setting === null || frame === null || busy !== null) return;
     const own = frame;
-    const sliders = content.correction === undefined ? correction.value() : null;
-    const up = content.correction !== undefined && level.isChanged() ? level.turned(content.correction) : null;
-    const proposed = content.correction === undefined ? null : level.estimate;
-    isBusy = true;
-    show();
-    try {
+    const what = "up" in content ? "up" : "correction";
+    const { recording, adjusted } = setting.stored;
+    await during("keeping", async () => {
       app.effort.action();
-      const path = app.path("recordings", known.recording, what);
-      const answer = await app.api.change(path, { ...content, frame: own, adjusted: known.adjusted });
-      isBusy = false;
-      if (until.aborted) return;
-      take(answer);
-      putBack(sliders, up, proposed);
+      const path = app.path("recordings", recording, what);
+      const answer = await app.api.change(path, { ...content, frame: own, adjusted });
+      if (until.aborted || setting === null) return;
+      take(settings.kept(setting, answer, what));
       if (own === frame) await app.loadFrame(own);
       else await load();
-    } finally {
-      isBusy = false;
-      show();
-    }
+    });
   }
 
   /** Keeps what is not kept yet; throws the reason why it cannot be kept. */
   async function keepAll() {
-    if (correction.isChanged()) await save("correction", { correction: correction.value() });
-    if (level.isUnsaved()) await save("up", { up: level.changed() });
+    if (setting && settings.isCorrected(setting)) await keep({ correction: settings.correctionOf(setting) });
+    if (setting && settings.isTurnedByHand(setting)) await keep({ up: upOf(settings.levelOf(setting)) });
   }
 
-  /** As `save`, but shows the reason. */
-  const keep = (/** @type {Parameters<typeof save>} */ ...what) => save(...what).catch(fail);
-
-  async function estimateUp() {
-    if (known === null || isBusy) return;
-    const asked = known;
-    isBusy = true;
-    show();
-    level.wait();
-    try {
-      const found = await app.api.post(app.path("recordings", asked.recording, "estimate-up"), {});
+  async function propose() {
+    if (setting === null || busy !== null) return;
+    const { recording, adjusted } = setting.stored;
+    await during("proposing", async () => {
+      const proposed = await app.api.post(app.path("recordings", recording, "estimate-up"), {});
       // another recording may be shown by now, or its clouds may have been turned
-      if (until.aborted || known.recording !== asked.recording || known.adjusted !== asked.adjusted) return;
-      level.put(found.up, found);
-    } catch (error) {
-      fail(error);
-    } finally {
-      isBusy = false;
-      show();
-    }
+      if (setting?.stored.recording !== recording || setting.stored.adjusted !== adjusted) return;
+      setting = { ...setting, proposed, level: proposed.up ? anglesOf(proposed.up) : setting.level };
+    });
   }
 
   function onAdjusted(/** @type {Messages["adjusted"]} */ { recording, adjusted, operator }) {
-    if (known?.recording !== recording || adjusted <= known.adjusted) return;
+    if (setting?.stored.recording !== recording || adjusted <= setting.stored.adjusted) return;
     isOutdated = true;
-    if (isBusy) return;
-    if (correction.isChanged() || level.isChanged())
+    if (busy !== null) return;
+    if (settings.isCorrected(setting) || settings.isTurned(setting))
       app.toast(`${operator} has adjusted this recording meanwhile. Discard your changes to see it.`, "warn");
     else void load();
   }
 
   /** Asks whether the recording was adjusted while there was no connection. */
   async function onReconnected() {
-    if (known === null || frame === null) return;
-    try {
-      const { recording, adjusted } = await app.api.get(app.path("frames", frame, "alignment"));
-      if (!until.aborted) onAdjusted({ recording, adjusted, operator: "Someone" });
-    } catch (error) {
-      fail(error);
-    }
+    if (setting === null || frame === null) return;
+    const { recording, adjusted } = await app.api.get(app.path("frames", frame, "alignment"));
+    if (!until.aborted) onAdjusted({ recording, adjusted, operator: "Someone" });
   }
 
   app.events.on("adjusted", onAdjusted, until);

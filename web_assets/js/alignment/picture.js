@@ -2,13 +2,13 @@
 
 import { project } from "../camera.js";
 import { h } from "../dom.js";
-import { checkbox, errorBox, showProblem } from "../forms.js";
-import { aboutAxis, add, dot, IDENTITY, length, scale } from "../rotation.js";
-import { horizon, levelLines, quantile, RAD } from "./level.js";
+import { createView } from "../editor2d/geometry.js";
+import { checkbox } from "../forms.js";
+import { add, dot } from "../rotation.js";
+import { horizon, levelLines, quantile } from "./level.js";
+import { rotationOf } from "./setting.js";
 
-const [LEAST_ZOOM, MOST_ZOOM] = [1, 20];
-
-/** @typedef {{ image: string, camera: Camera, points: Vector[], up: Vector | null, isFirm: boolean }} Shown */
+/** @typedef {{ image: string, camera: Camera, points: Vector[], up: Vector, isFirm: boolean }} Shown */
 
 /** The panel of the picture. `onMissing`: its image could not be loaded. */
 export function createPicture(/** @type {{ onMissing: (url: string) => unknown }} */ { onMissing }) {
@@ -17,11 +17,13 @@ export function createPicture(/** @type {{ onMissing: (url: string) => unknown }
   const image = new Image();
   /** @type {Shown | null} */
   let shown = null;
-  let [zoom, left, top, pending] = [1, 0, 0, 0];
-  const problem = errorBox(null, "alignment-problem");
+  let pending = 0;
+  const size = { width: 0, height: 0 };
+  const picture = { width: 0, height: 0 };
+  const view = createView(picture, size);
   const points = checkbox("show-points", true, { onchange: draw });
   const level = checkbox("show-level", true, { onchange: draw });
-  const size = h("input", { type: "range", min: 1, max: 8, step: 0.5, value: "2", oninput: draw });
+  const thickness = h("input", { type: "range", min: 1, max: 8, step: 0.5, value: "2", oninput: draw });
 
   /** Draws once per animation frame. */
   function draw() {
@@ -31,44 +33,43 @@ export function createPicture(/** @type {{ onMissing: (url: string) => unknown }
   function paint() {
     pending = 0;
     const context = canvas.getContext("2d");
-    const { clientWidth: width, clientHeight: height } = host;
-    if (context === null || width === 0) return;
+    if (context === null || size.width === 0) return;
     const ratio = devicePixelRatio || 1;
-    canvas.width = width * ratio;
-    canvas.height = height * ratio;
+    canvas.width = size.width * ratio;
+    canvas.height = size.height * ratio;
     context.scale(ratio, ratio);
     if (shown === null) return;
     const { camera } = shown;
-    const fit = Math.min(width / camera.width, height / camera.height) * zoom;
-    context.translate(width / 2 + left, height / 2 + top);
-    context.scale(fit, fit);
-    // pixel coordinates: the centre of the first pixel is (0, 0)
-    context.translate(0.5 - camera.width / 2, 0.5 - camera.height / 2);
+    const [left, top] = view.toWindow([0, 0]);
+    context.translate(left, top);
+    context.scale(view.scale, view.scale);
     if (image.complete && image.naturalWidth > 0) {
-      context.imageSmoothingEnabled = fit < 3;
+      context.imageSmoothingEnabled = view.scale < 3;
       context.drawImage(image, -0.5, -0.5, camera.width, camera.height);
     }
     context.beginPath();
     context.rect(-0.5, -0.5, camera.width, camera.height);
     context.clip();
-    if (points.checked) paintPoints(context, shown, Number(size.value) / fit);
-    if (level.checked && shown.up !== null) paintLevel(context, shown, 1.5 / fit);
+    if (points.checked) paintPoints(context, shown, Number(thickness.value) / view.scale);
+    if (level.checked) paintLevel(context, shown, 1.5 / view.scale);
   }
 
   function onWheel(/** @type {WheelEvent} */ event) {
     event.preventDefault();
-    const factor = Math.min(MOST_ZOOM, Math.max(LEAST_ZOOM, zoom * Math.exp(-event.deltaY / 400))) / zoom;
-    const box = canvas.getBoundingClientRect();
-    const [x, y] = [event.clientX - box.left - box.width / 2, event.clientY - box.top - box.height / 2];
-    zoom *= factor;
-    [left, top] = zoom === 1 ? [0, 0] : [x - (x - left) * factor, y - (y - top) * factor];
+    view.zoomAbout([event.offsetX, event.offsetY], Math.exp(-event.deltaY / 400));
     draw();
   }
 
   function onMove(/** @type {PointerEvent} */ event) {
     if (event.buttons === 0) return;
-    left += event.movementX;
-    top += event.movementY;
+    view.panBy(event.movementX, event.movementY);
+    draw();
+  }
+
+  function resize() {
+    size.width = host.clientWidth;
+    size.height = host.clientHeight;
+    if (view.isFitted) view.fit();
     draw();
   }
 
@@ -80,7 +81,7 @@ export function createPicture(/** @type {{ onMissing: (url: string) => unknown }
     draw();
     onMissing(image.src);
   });
-  const resizing = new ResizeObserver(draw);
+  const resizing = new ResizeObserver(resize);
   resizing.observe(host);
 
   const header = h(
@@ -88,20 +89,23 @@ export function createPicture(/** @type {{ onMissing: (url: string) => unknown }
     h("h1.ellipsis", "Cloud over image"),
     h("span.grow"),
     h("label.row", points, "points"),
-    h("label.row", { title: "Size of the points" }, size),
+    h("label.row", { title: "Size of the points" }, thickness),
     h("label.row", level, "level"),
   );
   const help = "Near points are red, far ones blue. The wheel zooms; drag to move the picture.";
   return {
-    root: h("section.panel", header, problem, host, h("footer.help", help)),
+    root: h("section.panel", header, host, h("footer.help", help)),
     host,
     set(/** @type {Shown} */ next) {
       shown = next;
+      const { width, height } = next.camera;
+      if (width !== picture.width || height !== picture.height) {
+        Object.assign(picture, { width, height });
+        view.fit();
+      }
       if (!image.src.endsWith(next.image)) image.src = next.image;
       draw();
     },
-    /** Shows why there is no picture; null: there is one. */
-    setProblem: (/** @type {unknown} */ error) => showProblem(problem, error),
     close() {
       resizing.disconnect();
       cancelAnimationFrame(pending);
@@ -118,12 +122,6 @@ export function moved(/** @type {Vector[]} */ points, /** @type {Api.CorrectionJ
       shift_m,
     ),
   );
-}
-
-/** The matrix of a rotation vector in degrees. */
-export function rotationOf(/** @type {Vector} */ turn) {
-  const angle = length(turn);
-  return angle === 0 ? IDENTITY : aboutAxis(scale(turn, 1 / angle), angle * RAD);
 }
 
 function paintPoints(
@@ -150,7 +148,6 @@ function paintLevel(
   /** @type {Shown} */ { camera, points, up, isFirm },
   /** @type {number} */ width,
 ) {
-  if (up === null) return;
   const { grid, plumb } = levelLines(up, points);
   context.setLineDash(isFirm ? [] : [6 * width, 4 * width]);
   for (const [lines, color, factor] of /** @type {[Vector[][], string, number][]} */ ([

@@ -9,7 +9,6 @@
  */
 
 import { createAttributes } from "../attributes.js";
-import { askClass } from "../classes/picker.js";
 import { button, h } from "../dom.js";
 import { createFrameProblem } from "../frame_problem.js";
 import { showHints } from "../messages.js";
@@ -18,7 +17,7 @@ import { createActions } from "./actions.js";
 import { createAreas } from "./areas.js";
 import { createNextClass } from "./class_picker.js";
 import { createCommands } from "./commands.js";
-import { createDesk, isOpen } from "./desk.js";
+import { createDesk } from "./desk.js";
 import { createFields } from "./fields.js";
 import { createFollow } from "./follow.js";
 import { createImagePanel } from "./image_panel.js";
@@ -31,18 +30,10 @@ import { createScene } from "./scene.js";
 import { createSheet } from "./sheet.js";
 import { createBoxList, createQueueList } from "./side_lists.js";
 import { createTeach } from "./teach.js";
-import { createTracks, OPERATIONS } from "./tracks.js";
+import { createTracks } from "./tracks.js";
 
-/** Whether the top view is shown in place of the 3D view. */
-const MAP_KEPT = "top-view";
 /** A picture with a greater ratio of width to height gets a wider place. */
 const WIDE_ASPECT = 1.9;
-
-/** For a key that acts on one box only: while it is held down, it does not act on the following ones. */
-const once =
-  (/** @type {(key: string) => unknown} */ fn) => (/** @type {Event} */ event, /** @type {string} */ key) => {
-    if (!(event instanceof KeyboardEvent && event.repeat)) fn(key);
-  };
 
 export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
   root.classList.add("fixed");
@@ -52,7 +43,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   }
   const parts = layout();
   root.append(parts.root);
-  const areas = createAreas(parts.root);
   showHints(parts.problem, parts.hint, parts.saving);
   const desk = createDesk(app);
   const queue = createQueue(app, showQueue);
@@ -61,7 +51,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     queue,
     onLoading() {
       showBusy();
-      if (opening.loading) showActions();
+      if (opening.loading) actions.show();
       else showAll();
     },
     onProblem(error, frame) {
@@ -70,168 +60,42 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       else problem.show(error);
     },
   });
-  const { go } = opening;
-  const goInQueue = (/** @type {Target} */ target) => go(target, true);
-  const queueList = createQueueList(parts.queue, app, queue, { open: goInQueue });
-  const boxList = createBoxList(parts.boxes, app, desk, () => teach, showBest);
+  const preload = createPreload(app, desk, queue, opening);
   const picker = createNextClass(parts.classes, app);
-  const preload = createPreload(app, desk, queue);
-  const sheet = createSheet(app, {
-    desk,
-    queue,
-    preload,
-    open: goInQueue,
-    next: () => (opening.inQueue ? (queue.items[0] ?? null) : null),
-    isFollowed: (track) => follow.isFollowed(track),
-  });
-  const tracks = createTracks(parts.track, app, desk, {
-    open: go,
-    sheet: () => commands.whenCalm(sheet.show),
-    async onChanged() {
-      // they may have new uids
-      await queue.load();
-      sheet.again();
-    },
-  });
-  const follow = createFollow(parts.track, app, desk, {
-    open: go,
-    onFirst(target) {
-      // the operator is on the way to another frame, or draws here
-      if (opening.loading || image.isBusy || desk.shown?.isNew || sheet.again()) return;
-      // what is open here comes first
-      if (desk.labels().some(isOpen)) opening.pick(null);
-      else void goInQueue(target);
-    },
-  });
-  const image = createImagePanel(parts.image, app, desk, {
-    teach: () => teach,
-    nextClass: () => picker.label,
-    hint: parts.hint,
-    onDrawn: (box) => commands.fitDrawn(box),
-    onMode: () => showActions(),
-    canDraw: () => commands.canDraw(),
-  });
-  const scene = createScene(parts.scene, app, desk, () => teach);
-  const map = createMap(parts.map, app, desk, {
-    onPlace: (point) => commands.placeAt(point),
-    onOpen: showBest,
-    onClose: () => turnMap(false),
-  });
-  turnMap(localStorage.getItem(MAP_KEPT) === "true");
-  const ortho = createOrthoViews(parts.ortho, app, desk, preload);
-  const teach = createTeach(parts.object, app, desk, {
-    onChange: showDrawn,
-    onTurn(on) {
-      parts.ortho.hidden = on;
-      if (!on) void ortho.show();
-    },
-    isImageBusy: () => image.editor.isDragging,
-  });
-  parts.problem.append(teach.problem);
-  const problem = createFrameProblem(image.body, {
-    onRetry: () => opening.broken !== null && void opening.open(opening.broken, null),
-    onStep: opening.step,
-  });
-  const fields = createFields(parts.fields, desk, {
-    classes: () => app.state.project.classes,
-    up: () => app.state.frame?.up ?? null,
-    hint: () => teach.hint(),
-  });
-  const attributes = createAttributes(fields.attributes, app, {
+  const areas = createAreas(parts.root);
+  const core = { app, parts, desk, queue, opening, preload, picker, areas, showDrawn, showBest };
+  const at = Object.assign(/** @type {Annotate} */ ({}), core);
+  at.sheet = createSheet(at);
+  at.tracks = createTracks(at);
+  at.follow = createFollow(at);
+  at.image = createImagePanel(at);
+  at.scene = createScene(at);
+  at.ortho = createOrthoViews(at);
+  at.teach = createTeach(at);
+  const fields = createFields(at);
+  at.attributes = createAttributes(fields.attributes, app, {
     shown: () => desk.shown,
     set: desk.setValues,
     setClass: (label) => desk.shown !== null && void desk.edit({ label }),
   });
+  at.commands = createCommands(at);
+  at.actions = createActions(at);
+  at.map = createMap(at);
+  const { image, scene, ortho, teach, attributes, tracks, actions, map } = at;
+  const queueList = createQueueList(at);
+  const boxList = createBoxList(at);
+  const problem = createFrameProblem(image.body, {
+    onRetry: () => opening.broken !== null && void opening.open(opening.broken, null),
+    onStep: opening.step,
+  });
   /** The labels before an undo. @type {{ frame: number, labels: Map<string, string> } | null} */
   let seen = null;
-
-  const commands = createCommands(app, {
-    desk,
-    queue,
-    opening,
-    follow,
-    image,
-    ortho,
-    teach,
-    map,
-    picker,
-    root: parts.root,
-  });
-  /** What the keys do, and the buttons. @type {Record<string, (event: Event, key: string) => unknown>} */
-  const bindings = {
-    accept: once(() => commands.decide("accept")),
-    "accept-all": once(() => commands.whenCalm(commands.acceptAll)),
-    reject: once(() => commands.decide("reject")),
-    delete: once(() => commands.decide("delete")),
-    refit: once(commands.refit),
-    turn: once(() => commands.turn(2)),
-    "turn-quarter": once(() => commands.turn(1)),
-    class: (/** @type {Event} */ _, /** @type {string} */ key) =>
-      commands.setClass(app.state.project.classes[Number(key) - 1]),
-    "class-search": once(async () => commands.setClass(await askClass(app))),
-    attribute: (/** @type {Event} */ _, /** @type {string} */ key) => attributes.press(key),
-    cancel: commands.cancel,
-    finalise: once(() => commands.whenCalm(commands.finalise)),
-    "copy-previous": once(() => commands.whenCalm(commands.copy)),
-    follow: once(() => commands.followOne("forward")),
-    "follow-back": once(() => commands.followOne("backward")),
-    "follow-all": once(() => commands.followAll("forward")),
-    "follow-all-back": once(() => commands.followAll("backward")),
-    "copy-next": once(() => commands.whenCalm(() => tracks.copyToNext())),
-    ...Object.fromEntries(
-      Object.entries(OPERATIONS)
-        .filter(([, { key }]) => key)
-        .map(([id]) => [`track-${id}`, once((key) => commands.whenCalm(() => tracks.operate(id, key)))]),
-    ),
-    sheet: once(() => commands.whenCalm(sheet.show)),
-    "next-of-track": once(() => commands.whenCalm(() => tracks.step(1))),
-    "previous-of-track": once(() => commands.whenCalm(() => tracks.step(-1))),
-    "next-box": () => commands.stepBox(1),
-    "previous-box": () => commands.stepBox(-1),
-    "next-camera": once(() => commands.whenCalm(commands.nextCamera)),
-    "next-frame": () => opening.step("next"),
-    "previous-frame": () => opening.step("previous"),
-    "draw-box": once(commands.draw),
-    "gizmo-translate": () => setGizmo("translate"),
-    "gizmo-rotate": () => setGizmo("rotate"),
-    "gizmo-off": () => setGizmo("off"),
-    fit: () => {
-      image.fit();
-      map.fit();
-      ortho.fit();
-      teach.fit();
-    },
-    areas: once(areas.swap),
-    "top-view": once(() => turnMap(!map.isShown)),
-    teach: once(() => teach.turn(!teach.isOn)),
-    "next-whole-box": once(() => teach.nextWhole()),
-  };
-  const actions = createActions(parts.actions, bindings, teach.turn);
-  const topView = button(["Top view", h("kbd", "M")], () => turnMap(true), {
-    class: "quiet small",
-    title: "A map: click to place a box, drag to move it (M)",
-    "data-testid": "show-map",
-  });
-  parts.sceneHead.append(h("h2", "3D view"), actions.gizmo, h("span.grow"), topView);
 
   // -- showing
 
   function showQueue() {
-    showActions();
+    actions.show();
     queueList.show(desk.uid);
-  }
-
-  function showActions() {
-    actions.show({
-      label: desk.shown,
-      frame: app.state.frame,
-      gizmoMode: scene.gizmo,
-      busy: opening.loading,
-      isDrawing: image.isDrawing,
-      isTeaching: teach.isOn,
-      canAccept: teach.canAccept,
-      isMoreOpen: (opening.inQueue && queue.items.length > 0) || desk.labels().some(isOpen),
-    });
   }
 
   function showBusy() {
@@ -247,26 +111,13 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     image.show();
     boxList.show();
     fields.show();
-    showActions();
+    actions.show();
     scene.show();
-  }
-
-  /** Shows the top view in place of the 3D view, or this one again. */
-  function turnMap(/** @type {boolean} */ on) {
-    localStorage.setItem(MAP_KEPT, String(on));
-    parts.scene.hidden = on;
-    parts.map.hidden = !on;
-    map.turn(on);
   }
 
   /** Goes to the camera that sees a box of the moment best. */
   function showBest(/** @type {string} */ uid) {
-    if (opening.opened !== null && desk.stored(uid)) void go({ frame: opening.opened, uid });
-  }
-
-  function setGizmo(/** @type {Api.Gizmo} */ mode) {
-    scene.setGizmo(mode);
-    showActions();
+    if (opening.opened !== null && desk.stored(uid)) void opening.go({ frame: opening.opened, uid });
   }
 
   function showAll() {
@@ -330,14 +181,15 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       catchUp();
     }),
     app.events.on("frame", catchUp),
+    app.events.on("still", catchUp),
     app.events.on("reconnected", catchUp),
-    app.keys.register(bindings),
+    app.keys.register(at.commands.keys),
   ];
 
   /** Others have saved something. */
   function catchUp() {
     queue.reloadSoon();
-    desk.refresh().catch(app.toast);
+    void desk.refresh();
   }
 
   /** Selects the label that an undo or redo has changed. */
@@ -350,15 +202,15 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     if (changed) desk.select(changed.uid);
   }
 
-  showActions();
-  opening.begin().catch((error) => app.toast(error));
+  actions.show();
+  void opening.begin();
 
   return {
     route(/** @type {Route} */ { frame, query }) {
       // the boxes of a moment are the same in all its cameras
       const isSameMoment = Object.values(app.state.frame?.frame.cameras ?? {}).includes(frame ?? -1);
       const [uid, track] = [query.get("uid") ?? (isSameMoment ? desk.uid : null), trackIn(query)];
-      if (frame === null) void opening.begin().catch(app.toast);
+      if (frame === null) void opening.begin();
       else if (frame !== opening.opened && frame !== opening.broken)
         void opening.open(frame, uid, track).then((isOpen) => {
           if (isOpen === false && opening.opened !== null) app.stay(opening.opened);
@@ -390,7 +242,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     unmount() {
       for (const end of stop) end();
       queue.end();
-      follow.destroy();
+      at.follow.destroy();
       scene.destroy();
       ortho.destroy();
       preload.stop();

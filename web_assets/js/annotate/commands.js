@@ -1,13 +1,14 @@
 /** What the keys and buttons of Annotate do. */
 
 import { headingTurned, sameBox } from "../box3d.js";
+import { askClass } from "../classes/picker.js";
 import { confirm } from "../dialogs.js";
 import { count } from "../dom.js";
 import { currentFrame } from "../frame_state.js";
 import { makeHash } from "../router.js";
 import { isOpen } from "./desk.js";
 import { mostDoubtful } from "./opening.js";
-import { copiedText } from "./tracks.js";
+import { copiedText, OPERATIONS } from "./tracks.js";
 
 const CHECK_PLACED = "Check its distance and heading, or label it in a frame that shows more of it.";
 const LABEL_ELSEWHERE =
@@ -16,22 +17,11 @@ const LABEL_ELSEWHERE =
 
 const sentence = (/** @type {string} */ text) => `${text[0].toUpperCase()}${text.slice(1)}`;
 
-/**
- * @param {ModeApp} app
- * @param {object} parts
- * @param {Desk} parts.desk
- * @param {Queue} parts.queue
- * @param {Opening} parts.opening
- * @param {ReturnType<typeof import("./follow.js").createFollow>} parts.follow
- * @param {ReturnType<typeof import("./image_panel.js").createImagePanel>} parts.image
- * @param {ReturnType<typeof import("./ortho_views.js").createOrthoViews>} parts.ortho
- * @param {Teach} parts.teach
- * @param {ReturnType<typeof import("./map.js").createMap>} parts.map
- * @param {ReturnType<typeof import("./class_picker.js").createNextClass>} parts.picker
- * @param {HTMLElement} parts.root
- */
-export function createCommands(app, { desk, queue, opening, follow, image, ortho, teach, map, picker, root }) {
+export function createCommands(/** @type {Annotate} */ at) {
+  const { app, desk, queue, opening } = at;
   let isPlacing = false;
+  /** How often what was refused was shown again. */
+  let refused = 0;
   /** The cameras to which a key went for the selected box. @type {{ uid: string | null, seen: Set<number> }} */
   let tour = { uid: null, seen: new Set() };
 
@@ -80,19 +70,21 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
    */
   async function decide(/** @type {"accept" | "reject" | "delete"} */ kind) {
     if (opening.loading || !app.state.frame) return;
-    if (kind === "accept" && teach.accept()) return;
+    if (kind === "accept" && at.teach.accept()) return;
     // it means the box that is being drawn or found, and not the one that was selected before
-    if (kind === "accept" && image.isBusy) return;
-    if (kind === "delete" && teach.removeDrawn()) return;
+    if (kind === "accept" && at.image.isBusy) return;
+    if (kind === "delete" && at.teach.removeDrawn()) return;
     const label = desk.shown;
     if (!label) return kind === "accept" ? goOn() : undefined;
     const { id: frame } = currentFrame(app).frame;
     const before = opening.openings;
     const next = kind === "accept" && label.isNew ? null : nextAfter(kind, label);
     if (!next && kind === "accept" && isReviewed(label)) sayReviewed();
-    const saved = save(kind, label);
-    // a box that the image shows is selected at once; another frame is opened after saving
     const isHere = next !== null && opening.isShown(next.uid);
+    const isAtOnce = !isHere && next !== null && label.state !== "rejected" && mayGoOn(next.frame);
+    const saved = save(kind, label);
+    if (isAtOnce) return goOnBefore(saved, label.uid, next);
+    // a box that the image shows is selected at once; another camera, or what the change moves, is opened after saving
     if (isHere) desk.select(next.uid);
     else if (next) opening.setLoading(true);
     const isSaved = await saved;
@@ -108,6 +100,33 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
       if (opening.isShown(next.uid)) opening.setLoading(false);
       await opening.go(next, opening.inQueue);
     } else if (!next && kind !== "accept") opening.pick(null);
+  }
+
+  /** Whether a frame can be opened before the change that is about to be sent is saved: it does not depend on it. */
+  const mayGoOn = (/** @type {number} */ frame) =>
+    !Object.values(currentFrame(app).frame.cameras).includes(frame) &&
+    desk.mayGoOn(frame) &&
+    at.teach.unsaved === null &&
+    !at.image.isBusy;
+
+  /** Opens the queue's next box while the one before is being saved; if that is refused, it is shown again. */
+  async function goOnBefore(
+    /** @type {Promise<boolean>} */ saved,
+    /** @type {string} */ uid,
+    /** @type {Target} */ next,
+  ) {
+    const { id: frame } = currentFrame(app).frame;
+    const [isFromQueue, refusals] = [opening.inQueue, refused];
+    queue.leave(uid);
+    void opening.go(next, isFromQueue, true);
+    const isSaved = await saved;
+    if (!at.parts.root.isConnected) return;
+    // what is refused is in the queue again
+    queue.settle(await app.frames.of(frame));
+    // if several were refused, the first of them is shown
+    if (isSaved || refusals !== refused) return;
+    refused += 1;
+    await opening.go({ frame, uid }, isFromQueue);
   }
 
   const isReviewed = (/** @type {PageLabel} */ { state }) => state === "accepted" || state === "edited";
@@ -138,37 +157,24 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     const label = desk.shown;
     if (!label) return;
     const { id } = currentFrame(app).frame;
-    try {
-      const { box, note, measured_by } = await app.api.post(app.path("frames", id, "refit"), {
-        box: label.box,
-        label: label.label,
-      });
-      if (desk.uid !== label.uid) return;
-      if (desk.shown && !sameBox(desk.shown.box, label.box)) {
-        app.toast("The box was changed during the fit. Press G to fit it again.", "warn");
-        return;
-      }
-      if (box) await desk.edit({ box });
-      if (note) app.toast(note, "info");
-      else app.toast(`Fitted again. Measured by: ${measured_by}`, "info");
-    } catch (error) {
-      app.toast(error);
-    }
+    const { box, note, measured_by } = await app.api.post(app.path("frames", id, "refit"), {
+      box: label.box,
+      label: label.label,
+    });
+    if (desk.uid !== label.uid) return;
+    if (desk.shown && !sameBox(desk.shown.box, label.box))
+      return app.toast("The box was changed during the fit. Press G to fit it again.", "warn");
+    if (box) await desk.edit({ box });
+    app.toast(note ?? `Fitted again. Measured by: ${measured_by}`, "info");
   }
 
-  /** Runs an action unless a frame is being opened. */
-  const whenCalm = (/** @type {() => unknown} */ fn) => (opening.loading ? undefined : void fn());
-
-  const followOne = (/** @type {"forward" | "backward"} */ direction) =>
-    whenCalm(async () => {
-      // a new box is right when it is followed: it was just drawn
-      if (desk.shown?.isNew && !(await desk.decide("accept", desk.shown.uid))) return;
-      const label = desk.shown;
-      if (label && isReviewed(label)) void follow.start(direction, label.uid);
-      else app.toast("Select a reviewed box to follow, or accept this one first.", "warn");
-    });
-
-  const followAll = (/** @type {"forward" | "backward"} */ direction) => whenCalm(() => follow.start(direction, null));
+  async function followOne(/** @type {"forward" | "backward"} */ direction) {
+    // a new box is right when it is followed: it was just drawn
+    if (desk.shown?.isNew && !(await desk.decide("accept", desk.shown.uid))) return;
+    const label = desk.shown;
+    if (label && isReviewed(label)) void at.follow.start(direction, label.uid);
+    else app.toast("Select a reviewed box to follow, or accept this one first.", "warn");
+  }
 
   const canDraw = () => app.state.frame !== null && !opening.loading && !app.state.frame.frame.finalised;
 
@@ -177,28 +183,20 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
    * the pseudo-views, unless it has too few points for views to draw on.
    */
   async function fitDrawn(/** @type {Box2D} */ box) {
-    if (teach.isOn) return teach.draw(box);
+    if (at.teach.isOn) return at.teach.draw(box);
     const { id } = currentFrame(app).frame;
-    try {
-      /** @type {Api.FitOut} */
-      const {
-        note,
-        box: fitted,
-        too_few_points,
-        ...facts
-      } = await app.api.post(app.path("frames", id, "fit"), { image_box: box });
-      if (app.state.frame?.frame.id !== id || !root.isConnected)
-        return app.toast("The frame was left before a 3D box was found for what was drawn. Draw it again.", "warn");
-      const why = sentence(note ?? "no object was found");
-      if (fitted) desk.add({ ...facts, box: fitted, label: box.label, image_box: box });
-      if (too_few_points) app.toast(`${why}. ${fitted ? CHECK_PLACED : LABEL_ELSEWHERE}`, "warn");
-      if (fitted || too_few_points) return;
-      const who = facts.measured_by ? ` (${facts.measured_by})` : "";
-      app.toast(`${why}${who}. To finish it by hand, draw its boxes on the pseudo-views.`, "warn");
-      teach.draw(box);
-    } catch (error) {
-      app.toast(error);
-    }
+    /** @type {Api.FitOut} */
+    const answer = await app.api.post(app.path("frames", id, "fit"), { image_box: box });
+    const { note, box: fitted, too_few_points, ...facts } = answer;
+    if (app.state.frame?.frame.id !== id || !at.parts.root.isConnected)
+      return app.toast("The frame was left before a 3D box was found for what was drawn. Draw it again.", "warn");
+    const why = sentence(note ?? "no object was found");
+    if (fitted) desk.add({ ...facts, box: fitted, label: box.label, image_box: box });
+    if (too_few_points) app.toast(`${why}. ${fitted ? CHECK_PLACED : LABEL_ELSEWHERE}`, "warn");
+    if (fitted || too_few_points) return;
+    const who = facts.measured_by ? ` (${facts.measured_by})` : "";
+    app.toast(`${why}${who}. To finish it by hand, draw its boxes on the pseudo-views.`, "warn");
+    at.teach.draw(box);
   }
 
   /** A box of the next class is placed where the top view was clicked. */
@@ -209,17 +207,11 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     const { id } = currentFrame(app).frame;
     try {
       /** @type {Api.FitOut} */
-      const {
-        box,
-        note,
-        too_few_points: _,
-        ...facts
-      } = await app.api.post(app.path("frames", id, "place"), { point, label: picker.label });
-      if (app.state.frame?.frame.id !== id || !root.isConnected) return;
-      if (box) desk.add({ ...facts, box, label: picker.label, image_box: null });
+      const answer = await app.api.post(app.path("frames", id, "place"), { point, label: at.picker.label });
+      const { box, note, too_few_points: _, ...facts } = answer;
+      if (app.state.frame?.frame.id !== id || !at.parts.root.isConnected) return;
+      if (box) desk.add({ ...facts, box, label: at.picker.label, image_box: null });
       else app.toast(sentence(note ?? "nothing was placed"), "warn");
-    } catch (error) {
-      app.toast(error);
     } finally {
       isPlacing = false;
     }
@@ -227,13 +219,9 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
 
   async function copy() {
     if (app.state.frame?.frame.previous == null) return;
-    try {
-      const copies = await desk.copyPrevious();
-      desk.select(copies[0].uid);
-      app.toast(...copiedText(copies));
-    } catch (error) {
-      app.toast(error);
-    }
+    const copies = await desk.copyPrevious();
+    desk.select(copies[0].uid);
+    app.toast(...copiedText(copies));
   }
 
   async function finalise() {
@@ -256,14 +244,14 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
 
   function setClass(/** @type {string | null | undefined} */ name) {
     if (!name) return;
-    picker.pick(name);
-    if (image.setClass(name) || teach.setClass(name)) return;
+    at.picker.pick(name);
+    if (at.image.setClass(name) || at.teach.setClass(name)) return;
     if (desk.shown && desk.shown.label !== name) void desk.edit({ label: name });
   }
 
   /** Cancels a drag, or else an edit that is not saved, or else deselects. */
   function cancel() {
-    if (map.cancel() || ortho.cancel() || image.cancel() || teach.cancel()) return;
+    if (at.map.cancel() || at.ortho.cancel() || at.image.cancel() || at.teach.cancel()) return;
     if (desk.hasDraft) desk.revert();
     else desk.select(null);
   }
@@ -286,29 +274,58 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
   }
 
   /** Draws a new box on the image, or stops that. */
-  const draw = () => (image.isDrawing || !canDraw() ? image.draw(null) : image.drawUsual());
+  const draw = () => (at.image.isDrawing || !canDraw() ? at.image.draw(null) : at.image.drawUsual());
 
   /** Turns the selected box by so many quarters. */
   const turn = (/** @type {number} */ quarters) =>
     desk.shown && desk.edit({ box: headingTurned(desk.shown.box, quarters) });
 
-  return {
-    decide,
-    acceptAll,
+  /** What a key or button does, by its row in the table of keys. @type {Record<string, KeyHandler>} */
+  const always = {
+    accept: () => decide("accept"),
+    reject: () => decide("reject"),
+    delete: () => decide("delete"),
     refit,
-    turn,
-    canDraw,
-    draw,
-    fitDrawn,
-    placeAt,
-    copy,
-    finalise,
-    setClass,
-    stepBox,
+    turn: () => turn(2),
+    "turn-quarter": () => turn(1),
+    class: (key) => setClass(app.state.project.classes[Number(key) - 1]),
+    "class-search": async () => setClass(await askClass(app)),
+    attribute: (key) => at.attributes.press(key),
     cancel,
-    whenCalm,
-    nextCamera,
-    followOne,
-    followAll,
+    "next-box": () => stepBox(1),
+    "previous-box": () => stepBox(-1),
+    "next-frame": () => opening.step("next"),
+    "previous-frame": () => opening.step("previous"),
+    "draw-box": draw,
+    "gizmo-translate": () => at.scene.setGizmo("translate"),
+    "gizmo-rotate": () => at.scene.setGizmo("rotate"),
+    "gizmo-off": () => at.scene.setGizmo("off"),
+    fit: () => [at.image.editor, at.map, at.ortho, at.teach].map((part) => part.fit()),
+    areas: at.areas.swap,
+    "top-view": () => at.map.turn(!at.map.isShown),
+    teach: () => at.teach.turn(!at.teach.isOn),
+    "next-whole-box": () => at.teach.nextWhole(),
   };
+  /** The same, but nothing while a frame is being opened. @type {Record<string, KeyHandler>} */
+  const whenCalm = {
+    "accept-all": acceptAll,
+    finalise,
+    "copy-previous": copy,
+    follow: () => followOne("forward"),
+    "follow-back": () => followOne("backward"),
+    "follow-all": () => at.follow.start("forward", null),
+    "follow-all-back": () => at.follow.start("backward", null),
+    "copy-next": () => at.tracks.copyToNext(),
+    sheet: () => at.sheet.show(),
+    "next-of-track": () => at.tracks.step(1),
+    "previous-of-track": () => at.tracks.step(-1),
+    "next-camera": nextCamera,
+  };
+  for (const [id, { key }] of Object.entries(OPERATIONS))
+    if (key) whenCalm[`track-${id}`] = (digit) => at.tracks.operate(id, digit);
+
+  const calm = (/** @type {KeyHandler} */ fn) => (/** @type {string} */ key) =>
+    opening.loading ? undefined : fn(key);
+  const keys = { ...always, ...Object.fromEntries(Object.entries(whenCalm).map(([id, fn]) => [id, calm(fn)])) };
+  return { keys, canDraw, fitDrawn, placeAt };
 }

@@ -10,9 +10,10 @@
 
 import { copyBox, fillSame, sameBox } from "../box3d.js";
 import { count } from "../dom.js";
-import { isStale, isTrackTaken, messageOf } from "../errors.js";
+import { messageOf } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
-import { chooseBox, resolveStale } from "./versions.js";
+import { createSender } from "./saver.js";
+import { changesOn, chooseBox, versionOf } from "./versions.js";
 
 /** True if a label has not been reviewed yet. */
 export const isOpen = (/** @type {{ state: Api.ReviewState }} */ label) => label.state === "proposed";
@@ -29,11 +30,9 @@ export function createDesk(/** @type {App} */ app) {
   let home = null;
   /** @type {string | null} */
   let uid = null;
-  let waiting = 0;
   /** @type {Set<() => void>} */
   const leaving = new Set();
-  /** @type {Promise<unknown>} */
-  let chain = Promise.resolve();
+  const sender = createSender(app, () => notify("saving"));
 
   function notify(/** @type {DeskEvent} */ what) {
     for (const fn of listeners) fn(what);
@@ -43,88 +42,43 @@ export function createDesk(/** @type {App} */ app) {
   const labels = () => [...(app.state.frame?.labels ?? []), ...[...added.values()].map(({ label }) => label)];
   const stored = (id = uid) => labels().find((label) => label.uid === id) ?? null;
 
-  /**
-   * Runs a task after all earlier ones. Later tasks run even if it fails.
-   *
-   * @template T
-   * @param {() => Promise<T>} task
-   */
-  function enqueue(task) {
-    waiting += 1;
-    notify("saving");
-    const done = chain.then(task).finally(() => {
-      waiting -= 1;
-      notify("saving");
-    });
-    chain = done.catch(() => {});
-    return done;
-  }
-
-  /**
-   * Sends a change of the open frame for which the operator need not choose between two versions. If others have changed
-   * the frame in the meantime, theirs is shown, and the change is refused, or sent again.
-   *
-   * @template {string} What
-   * @param {What} what
-   * @param {() => object} body
-   * @param {boolean} [isSentAgain]
-   * @returns {Promise<Answer<"POST", ProjectPath<["frames", number, What]>>>}
-   */
-  function change(what, body, isSentAgain = false) {
-    const { id } = currentFrame(app).frame;
-    const post = () =>
-      app.api.change(app.path("frames", id, what), { revision: currentFrame(app).frame.revision, ...body() });
+  /** Sends a change of the open frame. */
+  function change(/** @type {FrameChange} */ what) {
     app.effort.action();
-    return enqueue(async () => {
-      try {
-        return await post();
-      } catch (error) {
-        if (!isStale(error)) throw error;
-        app.frames.take(error.body.state);
-        if (!isSentAgain) throw error;
-        return post();
-      }
-    });
+    return sender.send(currentFrame(app).frame.id, what);
   }
 
   /** Sends changes of the open frame; resolves to null if they are saved, else to the problem. */
-  function send(/** @type {Change[]} */ changes, /** @type {string | null} */ subject) {
-    const { id } = currentFrame(app).frame;
-    return enqueue(async () => {
-      try {
-        await post(id, changes, subject);
-        return null;
-      } catch (error) {
-        app.toast(error);
-        return messageOf(error);
-      }
-    });
+  async function send(/** @type {Change[]} */ changes, /** @type {string | null} */ subject) {
+    try {
+      await sender.send(currentFrame(app).frame.id, changeOf(changes, subject));
+      rebase(changes);
+      return null;
+    } catch (error) {
+      app.toast(error);
+      return messageOf(error);
+    }
   }
 
-  async function post(
-    /** @type {number} */ id,
-    /** @type {Change[]} */ changes,
-    /** @type {string | null} */ subject,
-  ) {
-    // others may have changed a box while this page had a draft of it: then the operator chooses
-    const outdated = changes.map(({ uid: of }) => drafts.get(of ?? null)).find((draft) => draft && isBehind(draft));
-    const body = { revision: outdated?.revision ?? currentFrame(app).frame.revision, changes, subject };
-    try {
-      const { moved, ...state } = await app.api.change(app.path("frames", id, "changes"), body);
-      app.frames.take(state);
-      rebase(changes);
-      if (moved > 0) app.toast(`${count(moved, "unreviewed box", "unreviewed boxes")} of the track moved along.`);
-    } catch (error) {
-      if (isStale(error)) {
-        await resolveStale(app, error, { changes, subject, take: app.frames.take });
-        rebase(changes);
-        return;
-      }
-      const choice = isTrackTaken(error) ? await chooseBox(labels(), changes, error) : null;
-      if (choice === null) throw error;
-      if (choice.changes.length > 0) await post(id, choice.changes, subject);
-      if (choice.selected) select(choice.selected);
-    }
+  /** @returns {FrameChange<Answer<"POST", ProjectPath<["frames", number, "changes"]>>>} */
+  function changeOf(/** @type {Change[]} */ changes, /** @type {string | null} */ subject) {
+    return {
+      path: ["changes"],
+      body: (state) => changesOn(state, changes, subject),
+      mine: (theirs) => versionOf(theirs, changes),
+      // others may have changed a box while this page had a draft of it: then the operator chooses
+      base: () =>
+        changes.map(({ uid: of }) => drafts.get(of ?? null)).find((draft) => draft && isBehind(draft))?.revision,
+      async instead(error, state) {
+        const choice = await chooseBox(state.labels, changes, error);
+        if (choice === null) throw error;
+        if (choice.selected && stored(choice.selected)) select(choice.selected);
+        return choice.changes.length > 0 ? changeOf(choice.changes, subject) : null;
+      },
+      done({ moved }) {
+        if (moved > 0) app.toast(`${count(moved, "unreviewed box", "unreviewed boxes")} of the track moved along.`);
+      },
+    };
   }
 
   /** To be called after each new state of the frame: the selected box may be gone, and drafts may be saved. */
@@ -136,7 +90,7 @@ export function createDesk(/** @type {App} */ app) {
       // if a draft is being sent, the answer to it reports the outcome
       const mustNotify = !drafts.get(gone)?.sending;
       drafts.delete(gone);
-      if (mustNotify) app.toast("Another operator has deleted the box that you were changing.", "warn");
+      if (mustNotify) app.toast("The box that you were changing was deleted elsewhere.", "warn");
     }
     if (uid !== null && !stored()) uid = null;
     notify("frame");
@@ -287,7 +241,7 @@ export function createDesk(/** @type {App} */ app) {
       return uid;
     },
     get isSaving() {
-      return waiting > 0;
+      return sender.waiting > 0;
     },
     get hasDraft() {
       return drafts.has(uid);
@@ -336,6 +290,7 @@ export function createDesk(/** @type {App} */ app) {
         heading_beside: null,
         seen_by: [],
         better_in: null,
+        still: false,
       };
       added.set(uid, { label, image_box, found: fit.box, actions: 1, problem: null, sending: null });
       notify("selection");
@@ -344,7 +299,7 @@ export function createDesk(/** @type {App} */ app) {
     /** What would be lost if the page were left now; null if everything is saved. @returns {Unsaved | null} */
     get unsaved() {
       const changed = [...drafts.keys()].filter((id) => !added.has(id)).length;
-      if (changed === 0 && added.size === 0 && waiting === 0) return null;
+      if (changed === 0 && added.size === 0 && sender.waiting === 0) return null;
       const problems = [...drafts.values(), ...added.values()].map(({ problem }) => problem).filter(Boolean);
       const what = [
         changed && count(changed, "changed box", "changed boxes"),
@@ -374,8 +329,11 @@ export function createDesk(/** @type {App} */ app) {
       leaving.add(fn);
     },
     settle,
-    enqueue,
+    enqueue: sender.enqueue,
+    send: sender.send,
     change,
+    /** Whether another frame may be opened before what waits is saved: it has no box that is not sent. */
+    mayGoOn: (/** @type {number} */ frame) => drafts.size === 0 && added.size === 0 && !sender.isOf(frame),
     /** Removes a new box, which another object replaces. */
     drop: remove,
 
@@ -445,12 +403,10 @@ export function createDesk(/** @type {App} */ app) {
       /** @type {Record<string, string | number | boolean | null>} */ values,
     ) {
       // sent again without asking: only these values change
-      return change("attributes", () => ({ uid: id, values }), true)
-        .then(app.frames.take)
-        .catch((error) => {
-          app.toast(error);
-          notify("frame");
-        });
+      return change({ path: ["attributes"], body: () => ({ uid: id, values }), isSentAgain: true }).catch((error) => {
+        app.toast(error);
+        notify("frame");
+      });
     },
 
     /** Copies reviewed boxes of the previous frame that this one lacks, as proposals; resolves to them. */
@@ -461,7 +417,7 @@ export function createDesk(/** @type {App} */ app) {
         return {};
       };
       // sent again without asking: the others' reviewed boxes stay
-      app.frames.take(await change("copy", body, true));
+      await change({ path: ["copy"], body, isSentAgain: true });
       return labels().filter(({ uid }) => before.every((known) => known.uid !== uid));
     },
 
@@ -482,12 +438,12 @@ export function createDesk(/** @type {App} */ app) {
     },
 
     /** Reads what others have saved, after all changes of this page, whose answers may already include it. */
-    refresh: () => (app.frames.isBehind ? enqueue(() => app.frames.refresh()) : Promise.resolve()),
+    refresh: () => (app.frames.isBehind ? sender.enqueue(() => app.frames.refresh()) : Promise.resolve()),
 
     /** Waits until everything is saved, also what is added meanwhile. */
     async flush() {
       keep();
-      while (waiting > 0) await chain;
+      await sender.idle();
     },
   };
 }

@@ -44,11 +44,9 @@ const NUMBERS = {
   ],
 };
 
-export function createFields(
-  /** @type {HTMLElement} */ host,
-  /** @type {Desk} */ desk,
-  /** @type {{ classes: () => string[], up: () => Vector | null, hint: () => string }} */ { classes, up, hint },
-) {
+export function createFields(/** @type {Annotate} */ at) {
+  const { app, desk } = at;
+  const up = () => app.state.frame?.up ?? null;
   /** @type {Record<string, HTMLInputElement>} */
   const inputs = {};
   /** @type {Record<string, HTMLElement>} */
@@ -65,7 +63,7 @@ export function createFields(
   const form = h("form.box-fields", { "data-testid": "fields" });
   const advice = h("p", { "data-testid": "box-advice" });
   const nothing = h("div.empty", advice);
-  host.replaceChildren(h("header", title, h("span.grow"), chip), problem, form, nothing);
+  at.parts.fields.replaceChildren(h("header", title, h("span.grow"), chip), problem, form, nothing);
 
   /** @param {typeof NUMBERS[string][number]} one */
   function number([id, name, help, { unit, step, set }]) {
@@ -160,7 +158,7 @@ export function createFields(
     const { value } = choice;
     patch(
       choice,
-      classes().map((name) => h("option", { value: name }, name)),
+      app.state.project.classes.map((name) => h("option", { value: name }, name)),
     );
     choice.value = value;
   }
@@ -198,7 +196,7 @@ export function createFields(
     showProblem();
     // where something is drawn or dashed already, what to do with that comes first
     advice.textContent =
-      hint() ||
+      at.teach.hint() ||
       (desk.labels().length
         ? "No box is selected. Press Tab for the next one, or click a box on the image or in the 3D view."
         : "No box is here yet. Drag one around an object on the image, and take it with Space.");

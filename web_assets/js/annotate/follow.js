@@ -7,20 +7,13 @@ import { trackColor } from "../colors.js";
 import { button, count, h, iconButton, patch } from "../dom.js";
 import { currentFrame } from "../frame_state.js";
 import { frameName } from "../timeline/reading.js";
+import { isOpen } from "./desk.js";
 
 /** Numbers of the runs that the operator has closed. */
 const closed = new Set();
 
-/**
- * `open` shows a box, or a frame (uid null). `onFirst` is called with the first new box of a run that the operator has
- * just begun, unless the operator has gone elsewhere.
- *
- * @param {HTMLElement} host
- * @param {ModeApp} app
- * @param {Desk} desk
- * @param {{ open: (target: Target) => unknown, onFirst: (target: Target) => unknown }} options
- */
-export function createFollow(host, app, desk, { open, onFirst }) {
+export function createFollow(/** @type {Annotate} */ at) {
+  const { app, desk, opening } = at;
   const title = h("span.grow", { "data-testid": "follow-title" });
   const bar = h("progress", { max: 1, "aria-label": "Progress" });
   const stop = button("Stop", () => void end(), { class: "danger", "data-testid": "follow-stop" });
@@ -33,7 +26,7 @@ export function createFollow(host, app, desk, { open, onFirst }) {
     bar,
     list,
   );
-  host.append(body);
+  at.parts.track.append(body);
   /** The latest run. @type {Api.FollowRunJson | null} */
   let run = null;
   /**
@@ -47,17 +40,12 @@ export function createFollow(host, app, desk, { open, onFirst }) {
 
   async function load() {
     const before = run;
-    try {
-      const answer = await app.api.get(app.path("follow"));
-      if (answer) {
-        take(answer);
-      } else if (run === before) {
-        // the server was restarted; it remembers no run
-        run = null;
-        show();
-      }
-    } catch (error) {
-      app.toast(error);
+    const answer = await app.api.get(app.path("follow"));
+    if (answer) take(answer);
+    else if (run === before) {
+      // the server was restarted; it remembers no run
+      run = null;
+      show();
     }
   }
 
@@ -76,11 +64,19 @@ export function createFollow(host, app, desk, { open, onFirst }) {
       const [frame, uid] = run.first;
       const isStillThere = app.state.frame?.frame.id === begun.frame && !desk.hasDraft;
       begun = null;
-      if (isStillThere) onFirst({ frame, uid });
+      if (isStillThere) openFirst({ frame, uid });
     } else if (run.state !== "running") {
       begun = null;
       app.toast(run.message ?? "No box was found; the panel says why.", "warn");
     }
+  }
+
+  /** Opens the first new box of a run that was just begun, unless the operator is elsewhere, or draws here. */
+  function openFirst(/** @type {Target} */ target) {
+    if (opening.loading || at.image.isBusy || desk.shown?.isNew || at.sheet.again()) return;
+    // what is open here comes first
+    if (desk.labels().some(isOpen)) opening.pick(null);
+    else void opening.go(target, true);
   }
 
   function show() {
@@ -102,7 +98,7 @@ export function createFollow(host, app, desk, { open, onFirst }) {
     patch(
       list,
       run.message ? h("li.bad", run.message) : null,
-      run.tracks.map((track) => trackRow(app.state, track, reached(present, track), open)),
+      run.tracks.map((track) => trackRow(app.state, track, reached(present, track), opening.go)),
     );
   }
 
@@ -116,8 +112,6 @@ export function createFollow(host, app, desk, { open, onFirst }) {
     stop.disabled = true;
     try {
       await app.api.post(app.path("follow", "stop"));
-    } catch (error) {
-      app.toast(error);
     } finally {
       stop.disabled = false;
     }
@@ -131,7 +125,7 @@ export function createFollow(host, app, desk, { open, onFirst }) {
     const own = { frame: id, number: /** @type {number | null} */ (null) };
     begun = own;
     try {
-      const answer = await desk.change("follow", () => ({ uid, direction }));
+      const answer = await desk.change({ path: ["follow"], body: () => ({ uid, direction }), stateOf: () => null });
       own.number = answer.number;
       take(answer);
       // events of the run may have come before its number

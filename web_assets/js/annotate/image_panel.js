@@ -15,20 +15,9 @@ import { imageOverlay, shortName } from "./drawing.js";
 /** A shorter drag draws no box, CSS pixels. */
 const LEAST_DRAG = 8;
 
-/**
- * @param {HTMLElement} host
- * @param {ModeApp} app
- * @param {Desk} desk
- * @param {object} parts
- * @param {() => Teach} parts.teach
- * @param {(box: Box2D) => Promise<void>} parts.onDrawn called with a box drawn for a new object; resolves after the
- *     fit, whether it succeeded or not.
- * @param {() => void} parts.onMode called when drawing begins or ends.
- * @param {() => boolean} parts.canDraw whether the frame can get a new box.
- * @param {() => string} parts.nextClass of the next box.
- * @param {HTMLElement} parts.hint the line for what to do.
- */
-export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode, canDraw, nextClass }) {
+export function createImagePanel(/** @type {Annotate} */ at) {
+  const { app, desk } = at;
+  const { image: host, hint } = at.parts;
   const title = h("h2.ellipsis", "Image");
   const withRejected = h("input", { type: "checkbox", onchange: show, "data-testid": "show-rejected" });
   const byTrack = h("input", { type: "checkbox", onchange: colorAnew, "data-testid": "color-by-track" });
@@ -62,21 +51,21 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
   const editor = createEditor(body, {
     label: "Camera image with the frame's boxes",
     color: ({ label }) => classColor(app.state.project, label),
-    canDraw: () => canDraw() && !isFitting,
+    canDraw: () => at.commands.canDraw() && !isFitting,
     leastDraw: LEAST_DRAG,
     isAsked: () => wanted !== null,
     // objects are close together, and boxes are drawn one after the other
     selectFirst: true,
-    newLabel: () => chosen ?? wanted ?? nextClass(),
+    newLabel: () => chosen ?? wanted ?? at.picker.label,
     onDrag: ({ length }, index) => onDrag(length > items.length && index >= items.length),
-    onOverlay: (uid) => (uid === "whole" ? teach().accept() : desk.select(uid)),
+    onOverlay: (uid) => (uid === "whole" ? at.teach.accept() : desk.select(uid)),
     onSelect(index) {
-      if (index < 0) teach().release();
-      else if (items[index] && !isDashed(index)) teach().open(items[index]);
+      if (index < 0) at.teach.release();
+      else if (items[index] && !isDashed(index)) at.teach.open(items[index]);
     },
     onChange(boxes, why, index, actions) {
-      if (why === "draw" || (isDashed(index) && !teach().isOn)) void fit(boxes[index]);
-      else teach().changeImageBox(items[index], boxes[index], why, actions);
+      if (why === "draw" || (isDashed(index) && !at.teach.isOn)) void fit(boxes[index]);
+      else at.teach.changeImageBox(items[index], boxes[index], why, actions);
     },
   });
   /** The objects of the boxes that are shown. @type {Item[]} */
@@ -133,14 +122,14 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
         }),
       );
     }
-    editor.setOverlays([...overlays, ...teach().overlays()]);
+    editor.setOverlays([...overlays, ...at.teach.overlays()]);
     if (shownFrame !== frame.frame.id) {
       shownFrame = frame.frame.id;
       // ends a drag of the frame that was left
       editor.setBoxes([]);
     }
     if (editor.isDragging) return;
-    const { list, selected: index } = teach().shown();
+    const { list, selected: index } = at.teach.shown();
     items = list.map(({ item }) => item);
     dashed = list.filter(({ box }) => "suggested" in box).length;
     editor.setReadonly(frame.frame.finalised);
@@ -186,7 +175,7 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     if (isFitting) return "Fitting a 3D box …";
     if (wanted !== null) return `Drag a box around a ${wanted}. Press Esc to cancel.`;
     if (frame.finalised) return "finalised";
-    const hint = teach().hint();
+    const hint = at.teach.hint();
     if (hint) return hint;
     if (desk.shown && desk.shown.better_in !== null)
       return "Another camera sees this object better: double click on it in the list.";
@@ -196,7 +185,7 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
   /** For the next drag. A frame without boxes is there to be drawn on. */
   function loadDetectors() {
     hasLoaded = true;
-    app.api.post(app.path("models", "load")).catch(app.toast);
+    void app.api.post(app.path("models", "load"));
   }
 
   function onDrag(/** @type {boolean} */ isNow) {
@@ -211,7 +200,7 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     onDrag(false);
     show();
     try {
-      await onDrawn({ label, x_min, y_min, x_max, y_max });
+      await at.commands.fitDrawn({ label, x_min, y_min, x_max, y_max });
     } finally {
       isFitting = false;
       draw(null);
@@ -222,7 +211,7 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     if (label !== null && !hasLoaded) loadDetectors();
     wanted = label;
     show();
-    onMode();
+    at.actions.show();
   }
 
   return {
@@ -238,7 +227,7 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
       return wanted !== null;
     },
     /** Asks for a box of the usual class. */
-    drawUsual: () => draw(nextClass()),
+    drawUsual: () => draw(at.picker.label),
     /** Changes the class of the box that is being drawn or was asked for; false if there is none. */
     setClass(/** @type {string} */ name) {
       if (isDragging) chosen = name;
@@ -248,12 +237,11 @@ export function createImagePanel(host, app, desk, { teach, hint, onDrawn, onMode
     },
     /** Ends drawing; false if nothing was to be drawn. */
     cancel() {
-      if (editor.isDragging && editor.cancel()) return true;
+      if (editor.cancel()) return true;
       if (wanted === null || isFitting) return false;
       draw(null);
       return true;
     },
-    fit: () => editor.fit(),
     body,
     editor,
     destroy: () => editor.destroy(),

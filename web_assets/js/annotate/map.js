@@ -9,16 +9,21 @@ import { cameraOf } from "../camera.js";
 import { STATE_COLORS } from "../colors.js";
 import { button, h, s } from "../dom.js";
 import { hull, isInHull } from "../editor2d/geometry.js";
+import { dragOrClick } from "../editor2d/gestures.js";
+import { listenToPointers } from "../editor2d/pointers.js";
 import { add, cross, dot, length, scale, subtract } from "../rotation.js";
 import { shortName } from "./drawing.js";
 
+/** Whether it is shown in place of the 3D view. */
+const KEPT = "top-view";
 /** The part that is looked at is drawn after so long a rest, ms. */
 const REST_MS = 60;
-const CLICK_PX = 3;
 /** Rings are this far apart on the screen at least, px. */
 const RING_PX = 70;
 const STEPS_M = [1, 2, 5, 10, 20, 50, 100];
 const HANDLE_PX = 16;
+/** How near to the handle a pointer means it, px. */
+const REACH_PX = 10;
 const LIMITS_M_PER_PX = [0.002, 2];
 /** Metres in front of the sensor that are shown first, at most, and if there are no points. */
 const FURTHEST_M = 60;
@@ -34,14 +39,8 @@ export function mapAxes(/** @type {Vector | null} */ up) {
   return [cross(forward, against), scale(forward, -1), scale(against, -1)];
 }
 
-/**
- * @param {HTMLElement} host
- * @param {ModeApp} app
- * @param {Desk} desk
- * @param {{ onPlace: (point: Vector) => void, onOpen: (uid: string) => void, onClose: () => void }} parts onPlace: called
- *     with a point of the camera frame, above or below which a box is to be placed; onOpen: with a double-clicked box.
- */
-export function createMap(host, app, desk, { onPlace, onOpen, onClose }) {
+export function createMap(/** @type {Annotate} */ at) {
+  const { app, desk, parts } = at;
   const picture = h("img.picture", { alt: "", draggable: "false" });
   const svg = s("svg.shapes", { "aria-hidden": "true" });
   const root = h(
@@ -50,14 +49,24 @@ export function createMap(host, app, desk, { onPlace, onOpen, onClose }) {
     picture,
     svg,
   );
-  host.append(
+  parts.map.append(
     h(
       "header",
       h("h2", "Top view"),
       h("span.muted.ellipsis.grow", "Drag to move, wheel to zoom, click to select or place."),
-      button(["3D view", h("kbd", "M")], onClose, { class: "quiet small", "data-testid": "show-3d" }),
+      button(["3D view", h("kbd", "M")], () => turn(false), { class: "quiet small", "data-testid": "show-3d" }),
     ),
     root,
+  );
+  parts.sceneHead.append(
+    h("h2", "3D view"),
+    at.actions.gizmo,
+    h("span.grow"),
+    button(["Top view", h("kbd", "M")], () => turn(true), {
+      class: "quiet small",
+      title: "A map: click to place a box, drag to move it (M)",
+      "data-testid": "show-map",
+    }),
   );
   /** The plane in pixels of the window: the view of box3d.js. @type {Plane} */
   let plane = { axes: mapAxes(null), origin_m: [0, 0], metres_per_px: 0.1 };
@@ -83,11 +92,7 @@ export function createMap(host, app, desk, { onPlace, onOpen, onClose }) {
 
   async function open(/** @type {Api.FrameJson} */ frame) {
     recording = frame.recording;
-    try {
-      reachM = await app.api.get(app.path("frames", frame.id, "reach"));
-    } catch (error) {
-      app.toast(error);
-    }
+    reachM = await app.api.get(app.path("frames", frame.id, "reach"));
     if (recording !== frame.recording) return;
     fit();
     look();
@@ -203,99 +208,68 @@ export function createMap(host, app, desk, { onPlace, onOpen, onClose }) {
     });
   }
 
-  // -- the pointer
+  // -- the pointer: positions on the map are metres along its axes
 
-  /** @type {{ kind: "pan" | "move" | "turn", at: Point, box: Box3D | null, isDrag: boolean } | null} */
-  let press = null;
+  const pointOf = (/** @type {Point} */ [x, y]) => add(scale(plane.axes[0], x), scale(plane.axes[1], y));
+  const boxAt = (/** @type {Point} */ at) =>
+    seen().find((label) => isInHull(outlineOf(desk.seen(label).box), toView(plane, pointOf(at))));
 
-  function pointOf(/** @type {MouseEvent} */ event) {
-    const rect = root.getBoundingClientRect();
-    return [event.clientX - rect.left, event.clientY - rect.top];
-  }
-
-  function onDown(/** @type {PointerEvent} */ event) {
-    if (event.button > 1) return;
-    event.preventDefault();
-    root.focus({ preventScroll: true });
-    root.setPointerCapture(event.pointerId);
-    const at = pointOf(event);
-    const box = event.button === 0 && !app.state.frame?.frame.finalised ? (desk.shown?.box ?? null) : null;
-    const handle = box && arrowOf(box).handle;
-    const isTurn = handle !== null && Math.hypot(at[0] - handle[0], at[1] - handle[1]) < 10;
-    const kind = isTurn ? "turn" : box && isInHull(outlineOf(box), at) ? "move" : "pan";
-    press = { kind, at, box: box && copyBox(box), isDrag: event.button === 1 };
-  }
-
-  function onMove(/** @type {PointerEvent} */ event) {
-    if (!press) return;
-    const here = pointOf(event);
-    const [dx, dy] = here.map((value, i) => value - (press?.at[i] ?? 0));
-    press.isDrag ||= Math.hypot(dx, dy) >= CLICK_PX;
-    if (!press.isDrag) return;
-    const m = plane.metres_per_px;
-    if (press.kind === "pan") {
+  const view = {
+    toPicture: (/** @type {Point} */ at) => at.map((value, i) => plane.origin_m[i] + value * plane.metres_per_px),
+    panBy(/** @type {number} */ dx, /** @type {number} */ dy) {
+      const m = plane.metres_per_px;
       plane = { ...plane, origin_m: [plane.origin_m[0] - dx * m, plane.origin_m[1] - dy * m] };
-      press.at = here;
-      look();
-    } else if (press.box && press.kind === "move") {
-      const by = add(scale(plane.axes[0], dx * m), scale(plane.axes[1], dy * m));
-      desk.preview({ box: { ...press.box, center: add(press.box.center, by) } });
-    } else if (press.box) {
-      const middle = toView(plane, press.box.center);
-      const angle = (/** @type {Point} */ [x, y]) => Math.atan2(y - middle[1], x - middle[0]);
-      desk.preview({ box: turned(press.box, plane.axes[2], angle(here) - angle(arrowOf(press.box).to)) });
-    }
+    },
+    zoomAbout(/** @type {Point} */ at, /** @type {number} */ factor) {
+      const metres = Math.min(Math.max(plane.metres_per_px / factor, LIMITS_M_PER_PX[0]), LIMITS_M_PER_PX[1]);
+      const origin = at.map((value, i) => plane.origin_m[i] + value * (plane.metres_per_px - metres));
+      plane = { ...plane, metres_per_px: metres, origin_m: origin };
+    },
+  };
+
+  /** What a pointer changes of the selected box; "draw": a click places one. @returns {Hit} */
+  function hit(/** @type {Point} */ at) {
+    const box = desk.shown?.box;
+    const [x, y] = toView(plane, pointOf(at));
+    const handle = box && arrowOf(box).handle;
+    if (app.state.frame?.frame.finalised) return { kind: "nothing", index: -1 };
+    if (handle && Math.hypot(x - handle[0], y - handle[1]) < REACH_PX) return { kind: "turn", index: -1 };
+    return { kind: box && isInHull(outlineOf(box), [x, y]) ? "move" : "draw", index: -1 };
   }
 
-  function onUp(/** @type {PointerEvent} */ event) {
-    const ended = press;
-    press = null;
-    if (!ended) return;
-    if (!ended.isDrag) click(pointOf(event));
-    else if (ended.kind !== "pan") void desk.commit();
+  function begin(/** @type {Hit} */ { kind }, /** @type {Point} */ from, /** @type {Point} */ start) {
+    const box = (kind === "turn" || kind === "move") && desk.shown ? copyBox(desk.shown.box) : null;
+    const middle = box && view.toPicture(toView(plane, box.center));
+    const angle = (/** @type {Point} */ [x, y]) => (middle ? Math.atan2(y - middle[1], x - middle[0]) : 0);
+    let last = start;
+    let isEdited = false;
+    return dragOrClick(start, {
+      move(here, point) {
+        if (!box) view.panBy(point[0] - last[0], point[1] - last[1]);
+        else if (kind === "turn") desk.preview({ box: turned(box, plane.axes[2], angle(here) - angle(from)) });
+        else
+          desk.preview({ box: { ...box, center: add(box.center, pointOf([here[0] - from[0], here[1] - from[1]])) } });
+        isEdited = box !== null;
+        last = point;
+        look();
+      },
+      finish: () => void (isEdited && desk.commit()),
+      cancel: () => void (isEdited && desk.hasDraft && desk.revert()),
+      click() {
+        const hit = boxAt(from);
+        if (hit) desk.select(hit.uid);
+        else void at.commands.placeAt(pointOf(from));
+      },
+    });
   }
 
-  const boxAt = (/** @type {Point} */ at) => seen().find((label) => isInHull(outlineOf(desk.seen(label).box), at));
-
-  function click(/** @type {Point} */ at) {
-    const hit = boxAt(at);
-    if (hit) return desk.select(hit.uid);
-    const [x, y] = at.map((value, i) => plane.origin_m[i] + value * plane.metres_per_px);
-    onPlace(add(scale(plane.axes[0], x), scale(plane.axes[1], y)));
-  }
-
-  function onWheel(/** @type {WheelEvent} */ event) {
-    event.preventDefault();
-    const lines = event.deltaMode === 1 ? 33 : event.deltaMode === 2 ? 300 : 1;
-    const wanted = plane.metres_per_px * Math.exp(event.deltaY * lines * 0.0017);
-    const metres = Math.min(Math.max(wanted, LIMITS_M_PER_PX[0]), LIMITS_M_PER_PX[1]);
-    const at = pointOf(event);
-    const moved = at.map((value, i) => plane.origin_m[i] + value * (plane.metres_per_px - metres));
-    plane = { ...plane, metres_per_px: metres, origin_m: moved };
-    look();
-  }
-
-  /** Ends a drag without a change; false if there is none. */
-  function cancel() {
-    if (!press?.isDrag || press.kind === "pan") return false;
-    press = null;
-    if (desk.hasDraft) desk.revert();
-    return true;
-  }
-
+  const pointers = listenToPointers({ root, size, view, redraw: look, hit, begin });
   // another box is selected: the drag was of the one before
-  desk.onLeave(() => {
-    if (!cancel() && press?.kind !== "pan") press = null;
-  });
-  root.addEventListener("pointerdown", onDown);
-  root.addEventListener("pointermove", onMove);
-  root.addEventListener("pointerup", onUp);
-  root.addEventListener("pointercancel", cancel);
+  desk.onLeave(pointers.cancel);
   root.addEventListener("dblclick", (event) => {
-    const hit = boxAt(pointOf(event));
-    if (hit) onOpen(hit.uid);
+    const hit = boxAt(view.toPicture(pointers.windowPoint(event)));
+    if (hit) at.showBest(hit.uid);
   });
-  root.addEventListener("wheel", onWheel, { passive: false });
   const watcher = new ResizeObserver(([{ contentRect }]) => {
     const isFirst = !size.width;
     Object.assign(size, { width: contentRect.width, height: contentRect.height });
@@ -304,29 +278,38 @@ export function createMap(host, app, desk, { onPlace, onOpen, onClose }) {
   });
   watcher.observe(root);
 
+  /** Shows the map in place of the 3D view, or this one again. */
+  function turn(/** @type {boolean} */ on) {
+    localStorage.setItem(KEPT, String(on));
+    isShown = on;
+    parts.map.hidden = !on;
+    parts.scene.hidden = on;
+    show();
+  }
+
+  /** Another frame, box or selection. */
+  function show() {
+    const frame = app.state.frame?.frame;
+    if (!isShown || !frame) return;
+    if (frame.recording !== recording) void open(frame);
+    else look();
+  }
+
+  turn(localStorage.getItem(KEPT) === "true");
   return {
     get isShown() {
       return isShown;
     },
-    cancel,
+    turn,
+    show,
+    cancel: pointers.cancel,
     fit() {
       fit();
       look();
     },
-    /** Shows the map, or hides it. */
-    turn(/** @type {boolean} */ on) {
-      isShown = on;
-      if (on) this.show();
-    },
-    /** Another frame, box or selection. */
-    show() {
-      const frame = app.state.frame?.frame;
-      if (!isShown || !frame) return;
-      if (frame.recording !== recording) void open(frame);
-      else look();
-    },
     destroy() {
       clearTimeout(timer);
+      pointers.stop();
       watcher.disconnect();
     },
   };

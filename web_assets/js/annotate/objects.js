@@ -332,6 +332,7 @@ export function objectChange(draft, { after, kind, onDrawn }) {
       box_kind: kind(),
       object: { ...drawn, uid: state.labels.some(({ uid }) => uid === item.uid) ? item.uid : null, suggestion },
     }),
+    stateOf: ({ state }) => state,
     done({ uid, drawn: following }) {
       item.uid = uid ?? item.uid;
       if (following) onDrawn(following);

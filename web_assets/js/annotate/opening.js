@@ -23,6 +23,8 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
   const { project } = app.state.route;
   let loading = false;
   let openings = 0;
+  /** In which the operator has stepped last. @type {Direction} */
+  let direction = "next";
   /** The frame that is shown. @type {number | null} */
   let opened = null;
   /** The frame that cannot be read. @type {number | null} */
@@ -42,14 +44,15 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
    * @param {string | null} uid
    * @param {number | null} [track]
    * @param {boolean} [isAsItIs] no other camera of the moment is opened in its place, though it may see the label better.
+   * @param {boolean} [isAtOnce] what is being saved is not waited for, and nothing else is unsaved.
    */
-  async function open(id, uid, track = null, isAsItIs = true) {
+  async function open(id, uid, track = null, isAsItIs = true, isAtOnce = false) {
     openings += 1;
     const own = openings;
     setLoading(true);
     try {
-      if (opened !== id && opened !== null && !(await app.mayLeave())) return false;
-      await desk.flush();
+      if (opened !== id && opened !== null && !isAtOnce && !(await app.mayLeave())) return false;
+      if (!isAtOnce) await desk.flush();
       if (own !== openings) return null;
       // app.state may still have an old state from another mode
       if (opened !== id || !desk.stored(uid)) {
@@ -81,18 +84,8 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
 
   /** Selects a label of the open frame: this one, or that of this track, or else the most doubtful proposal. */
   function pick(/** @type {string | null} */ uid, /** @type {number | null} */ track = null) {
-    const labels = desk.labels();
-    const chosen =
-      labels.find((label) => label.uid === uid) ??
-      ofTrack(track) ??
-      mostDoubtful(labels.filter(isOpen)) ??
-      labels.find(({ state }) => state !== "rejected");
-    desk.select(chosen?.uid ?? null);
+    desk.select(chosen(desk.labels(), uid, track)?.uid ?? null);
   }
-
-  /** The label of a track in the open frame. */
-  const ofTrack = (/** @type {number | null} */ track) =>
-    desk.labels().find((label) => track !== null && label.track_id === track && label.state !== "rejected");
 
   /** True if a box is in the open frame, whose camera sees it as well as any. */
   const isShown = (/** @type {string | null} */ uid) => desk.stored(uid)?.better_in === null;
@@ -102,10 +95,11 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
    *
    * @param {Target} options
    * @param {boolean} [isFromQueue] it is the queue's next one, so that the queue goes on from here.
+   * @param {boolean} [isAtOnce] as for `open`.
    */
-  async function go({ frame, uid }, isFromQueue = false) {
+  async function go({ frame, uid }, isFromQueue = false, isAtOnce = false) {
     if (isShown(uid)) desk.select(uid);
-    else if (!(await open(desk.stored(uid)?.better_in ?? frame, uid, null, false))) return;
+    else if (!(await open(desk.stored(uid)?.better_in ?? frame, uid, null, false, isAtOnce))) return;
     // an address without a frame would choose this one again if it cannot be read
     const shown = opened ?? broken;
     if (isFromQueue) sessionStorage.setItem(FROM_QUEUE, `${project}/${shown}`);
@@ -114,6 +108,7 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
 
   /** Opens the next or previous frame in time; while the queue has frames to draw on, its next one. */
   async function step(/** @type {Direction} */ which) {
+    direction = which;
     const useful = which === "next" && queue.order === "teach" ? queue.after(null, opened) : null;
     if (useful) return go(useful, true);
     const next = broken === null ? (app.state.frame?.frame[which] ?? null) : await frameBeside(app, broken, which);
@@ -158,6 +153,10 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
     get opened() {
       return opened;
     },
+    /** The frame that the next step in the same direction opens, or null. */
+    get beside() {
+      return app.state.frame?.frame[direction] ?? null;
+    },
     get broken() {
       return broken;
     },
@@ -174,6 +173,17 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
 /** The track that an address names, or null. */
 export const trackIn = (/** @type {URLSearchParams} */ query) =>
   query.has("track") ? Number(query.get("track")) : null;
+
+/** The label that is selected when a frame opens: this one, or that of this track, or else the most doubtful proposal. */
+export const chosen = (
+  /** @type {PageLabel[]} */ labels,
+  /** @type {string | null} */ uid,
+  /** @type {number | null} */ track = null,
+) =>
+  labels.find((label) => label.uid === uid) ??
+  labels.find((label) => track !== null && label.track_id === track && label.state !== "rejected") ??
+  mostDoubtful(labels.filter(isOpen)) ??
+  labels.find(({ state }) => state !== "rejected");
 
 /** The most doubtful label, of those that the camera shows if there are any. */
 export const mostDoubtful = (/** @type {PageLabel[]} */ labels) =>

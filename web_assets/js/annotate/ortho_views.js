@@ -39,12 +39,9 @@ const ALIGNED = Math.cos((0.2 * Math.PI) / 180);
 /** Share of the line of sight that lies in a view on which it can be dragged. */
 const FLAT = 0.7;
 
-export function createOrthoViews(
-  /** @type {HTMLElement} */ host,
-  /** @type {ModeApp} */ app,
-  /** @type {Desk} */ desk,
-  /** @type {ReturnType<typeof import("./preload.js").createPreload>} */ preload,
-) {
+export function createOrthoViews(/** @type {Annotate} */ at) {
+  const { app, desk, preload } = at;
+  const host = at.parts.ortho;
   const panels = NAMES.map((name) => createPanel(name, desk));
   const note = h("p.note", "A box is seen here from above, from the front and from its right.");
   host.append(...panels.map(({ root }) => root), note);
@@ -57,7 +54,7 @@ export function createOrthoViews(
   async function fetchPictures() {
     const box = desk.shown?.box;
     const frame = app.state.frame?.frame.id;
-    if (!box || frame === undefined || panels.some(({ isDragging }) => isDragging())) return;
+    if (!box || frame === undefined || panels.some(({ editor }) => editor.isDragging)) return;
     if (fetched && fetched.frame === frame && sameBox(fetched.box, box)) return;
     request?.abort();
     request = new AbortController();
@@ -104,6 +101,7 @@ export function createOrthoViews(
       if (!desk.shown) {
         request?.abort();
         fetched = null;
+        void preload.start();
       }
       for (const panel of panels) {
         if (!app.state.frame) panel.clear();
@@ -118,7 +116,7 @@ export function createOrthoViews(
     },
 
     /** Cancels the drag in progress; false if there is none. */
-    cancel: () => panels.some(({ editor }) => editor.isDragging && editor.cancel()),
+    cancel: () => panels.some(({ editor }) => editor.cancel()),
 
     fit() {
       for (const { editor } of panels) editor.fit();
@@ -152,59 +150,34 @@ function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
     label: `${TITLES[name]} view of the selected box`,
     single: true,
     canDraw: () => false,
-    canDelete: false,
     clip: false,
     color,
     onDrag([rect]) {
-      if (!view || !rect || !desk.shown) return;
-      desk.preview({ box: withViewRect(view, begin(desk.shown), rect) });
+      const plane = view;
+      if (plane && rect) preview((box) => withViewRect(plane, box, rect));
     },
     onChange(_boxes, _why, _index, actions) {
-      end();
       if (desk.hasDraft) void desk.commit(actions);
-      else follow();
+      end();
     },
-    onRotate(angleRad, isFinal) {
-      if (view && desk.shown) pull(turned(begin(desk.shown), view.axes[2], angleRad), isFinal);
+    onPull(handle, by, isFinal) {
+      const plane = view;
+      if (plane) preview((box) => (handle === "turn" ? turned(box, plane.axes[2], by) : slid(box, by)));
+      if (isFinal) void desk.commit();
     },
-    onSlide(metres, isFinal) {
-      if (desk.shown) pull(slid(begin(desk.shown), metres), isFinal);
-    },
+    onEnd: end,
   });
 
-  let isPointer = false;
-  const setPointer = (/** @type {Event} */ { type }) => {
-    isPointer = type === "pointerdown";
-  };
-  editor.root.addEventListener("pointerdown", setPointer, { capture: true });
-  editor.root.addEventListener("keydown", setPointer, { capture: true });
-
-  /**
-   * Begins an edit unless one is in progress; returns the box before it. During the edit, the editor draws the box.
-   */
-  function begin(/** @type {PageLabel} */ label) {
-    start ??= copyBox(label.box);
-    // onChange does not follow a drag that was cancelled or moved nothing; after arrow keys, it follows later
-    if (isPointer && !editor.isDragging) queueMicrotask(giveUp);
-    return start;
-  }
-
-  function giveUp() {
-    if (!start || editor.isDragging) return;
-    end();
-    follow();
+  /** Shows the selected box as an edit makes it of what it was before. The editor draws it meanwhile. */
+  function preview(/** @type {(before: Box3D) => Box3D} */ edit) {
+    if (!desk.shown) return;
+    start ??= copyBox(desk.shown.box);
+    desk.preview({ box: edit(start) });
   }
 
   function end() {
     start = null;
-  }
-
-  /** A handle has moved the box. */
-  function pull(/** @type {Box3D} */ box, /** @type {boolean} */ isFinal) {
-    desk.preview({ box });
-    if (!isFinal) return;
-    end();
-    void desk.commit();
+    follow();
   }
 
   /** @returns {Overlay} */
@@ -224,46 +197,37 @@ function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
       editor.setOverlays([]);
     } else if (start) {
       // the editor draws the rectangle itself
-      editor.setOverlays([heading(view, box)]);
+      editor.setOverlays([heading(view, box)], editor.sight);
     } else if (isAligned(view, box)) {
       editor.setBoxes([{ ...viewRect(view, box), label: "", caption: "" }], 0);
-      editor.setSight(sightOn(view, box));
-      editor.setOverlays([heading(view, box)]);
+      editor.setOverlays([heading(view, box)], sightOn(view, box));
     } else {
       editor.setBoxes([]);
       editor.setOverlays([{ ...heading(view, box), segments: viewOutline(view, box), strong: false }]);
     }
   }
 
+  /** Saves arrow keys that were pressed; cancels a drag in progress. */
+  function leave() {
+    editor.flush();
+    if (editor.cancel() && desk.hasDraft) desk.revert();
+  }
+
   return {
     name,
     root,
     editor,
-    isDragging: () => start !== null || editor.isDragging,
     follow,
-
-    /** Saves arrow keys that were pressed; cancels a drag in progress. */
-    leave() {
-      editor.flush();
-      if (editor.isDragging) {
-        editor.cancel();
-        if (desk.hasDraft) desk.revert();
-      }
-      end();
-    },
+    leave,
 
     /** Shows a new view. Resolves to false if it is not shown: during a drag, or if a newer one has replaced it. */
     async setView(/** @type {Api.OrthoView} */ fresh) {
       note.hidden = true;
-      if (start || editor.isDragging) return false;
+      if (editor.isDragging) return false;
       // the picture and the box on it change together
       if (!(await editor.setPicture(fresh.url, fresh.width, fresh.height))) return false;
-      if (editor.isDragging) {
-        // the drag began on the previous picture, which has other pixels
-        editor.cancel();
-        if (desk.hasDraft) desk.revert();
-        end();
-      }
+      // a drag that began on the previous picture, which has other pixels
+      leave();
       view = fresh;
       scale.textContent = `${(fresh.metres_per_px * fresh.width).toFixed(2)} m wide`;
       editor.fit();

@@ -57,6 +57,16 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
     if (hasMore || hasOthers) loadSources().catch(app.toast);
   }
 
+  /** Takes out items that are reviewed; an undo brings them back. */
+  function remove(/** @type {(item: QueueItem) => boolean} */ isGone) {
+    place -= items.slice(0, place).filter(isGone).length;
+    const gone = items.filter(isGone);
+    for (const item of gone) reviewed.set(item.uid, item);
+    items = items.filter((item) => !isGone(item));
+    remaining = Math.max(items.length, remaining - gone.length);
+    return gone.length;
+  }
+
   async function loadSources() {
     sources = await app.api.get(app.path("queue", "sources"));
     if (!ended) onChange();
@@ -117,6 +127,11 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
       return others[0] ?? null;
     },
 
+    /** Removes an item that the operator has decided on, before that is saved. */
+    leave(/** @type {string} */ uid) {
+      if (remove((item) => item.uid === uid) > 0) onChange();
+    },
+
     /** Removes the items that are reviewed in a frame's new state; those that an undo has opened again come back. */
     settle(/** @type {FrameState} */ frame) {
       if (order === "teach") return this.reloadSoon();
@@ -125,19 +140,16 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
       // a label belongs to its moment, whose frames have the same
       const moment = new Set(Object.values(frame.frame.cameras).concat(frame.frame.id));
       const gone = (/** @type {QueueItem} */ item) => moment.has(item.frame) && !open.has(item.uid);
-      const before = items.length;
-      place -= items.slice(0, place).filter(gone).length;
-      for (const item of items.filter(gone)) reviewed.set(item.uid, item);
-      items = items.filter((item) => !gone(item));
+      const removed = remove(gone);
       const known = new Set(items.map(({ uid }) => uid));
       const back = [...reviewed.values()].filter(({ uid }) => open.has(uid) && !known.has(uid));
       for (const { uid } of back) reviewed.delete(uid);
       items = items.toSpliced(place, 0, ...back);
-      remaining = Math.max(items.length, remaining - (before - items.length));
+      remaining += back.length;
       // an undo may restore proposals that are not known here
       const comesBack = !this.isFiltered && [...open].some((uid) => !known.has(uid));
       if (comesBack || (items.length < FEW && items.length < remaining)) this.reloadSoon();
-      if (items.length !== before || back.length > 0) onChange();
+      if (removed > 0 || back.length > 0) onChange();
     },
 
     reloadSoon() {

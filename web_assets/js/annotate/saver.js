@@ -1,19 +1,121 @@
 /**
- * Saves drawn objects, one change after the other and in one line with those of the desk: each is based on the revision
- * that resulted from the previous one. A change's body is made when it is sent, from the frame's state at that time, so
- * that it can be applied to the others' version. A change is sent after its `after`: the views that follow from a drag
- * are loaded first, so the server has them in its cache.
+ * Saves changes of frames, one request after the other. A change's body is made when it is sent, from the state of its
+ * frame that the change before gave: so it is based on that revision, and can be applied to the others' version, too.
+ * The operator may have gone on to another frame by then.
  */
 
 import { button, h, patch } from "../dom.js";
-import { isStale } from "../errors.js";
+import { isStale, isTrackTaken } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 import { askVersion } from "../stale.js";
+import { frameName } from "../timeline/reading.js";
 import { naming } from "./items.js";
 
 /**
+ * What sends all changes.
+ *
  * @param {App} app
- * @param {Desk} desk
+ * @param {() => unknown} onWaiting called when a change begins to wait, and when it is saved or has failed.
+ */
+export function createSender(app, onWaiting) {
+  let waiting = 0;
+  /** @type {Promise<unknown>} */
+  let chain = Promise.resolve();
+  /** The frames of the moments with changes that wait. @type {number[][]} */
+  let moments = [];
+
+  /**
+   * Runs a task after all earlier ones. Later tasks run even if it fails.
+   *
+   * @template T
+   * @param {() => Promise<T>} task
+   */
+  function enqueue(task) {
+    waiting += 1;
+    onWaiting();
+    const done = chain.then(task).finally(() => {
+      waiting -= 1;
+      onWaiting();
+    });
+    chain = done.catch(() => {});
+    return done;
+  }
+
+  /**
+   * Sends a change of a frame. Resolves to the answer, or to null if the operator keeps the others' version.
+   *
+   * @template [T=unknown]
+   * @param {number} frame
+   * @param {FrameChange<T>} change
+   * @returns {Promise<T | null>}
+   */
+  function send(frame, change) {
+    const open = app.state.frame?.frame;
+    const moment = open?.id === frame ? [frame, ...Object.values(open.cameras)] : [frame];
+    moments.push(moment);
+    return enqueue(async () => {
+      try {
+        return await post(frame, change);
+      } finally {
+        moments = moments.filter((other) => other !== moment);
+      }
+    });
+  }
+
+  /**
+   * @template T
+   * @param {number} frame
+   * @param {FrameChange<T>} change
+   * @returns {Promise<T | null>}
+   */
+  async function post(frame, change, isFirst = true) {
+    const state = await app.frames.of(frame);
+    const revision = (isFirst ? change.base?.() : null) ?? state.frame.revision;
+    try {
+      const body = { revision, ...change.body(state) };
+      /** @type {T} */
+      const answer = await app.api.change(app.path("frames", frame, ...change.path), body);
+      change.done?.(answer);
+      const now = change.stateOf ? change.stateOf(answer) : /** @type {FrameState} */ (answer);
+      if (now) app.frames.take(now);
+      return answer;
+    } catch (error) {
+      if (isTrackTaken(error) && change.instead) {
+        const other = await change.instead(error, state);
+        return other && post(frame, other, false);
+      }
+      if (!isStale(error)) throw error;
+      const theirs = error.body.state;
+      const name = app.state.frame?.frame.id === frame ? undefined : frameName(app.state, frame, theirs.frame.key);
+      const chosen = change.mine ? await askVersion({ theirs, mine: change.mine(theirs), name }) : null;
+      app.frames.take(theirs);
+      if (chosen === "theirs") return null;
+      if (!change.mine && !(change.isSentAgain && isFirst)) throw error;
+      return post(frame, change, false);
+    }
+  }
+
+  return {
+    enqueue,
+    send,
+    get waiting() {
+      return waiting;
+    },
+    /** Whether changes of a frame's moment wait: its state is not known yet. */
+    isOf: (/** @type {number} */ frame) => moments.some((frames) => frames.includes(frame)),
+    /** Waits until everything is saved or has failed, also what is added meanwhile. */
+    async idle() {
+      while (waiting > 0) await chain;
+    },
+  };
+}
+
+/**
+ * Saves drawn objects. Each change is sent after its `after`: the views that follow from a drag are loaded first, so
+ * the server has them in its cache. What fails waits, with the later ones, until it is tried again.
+ *
+ * @param {App} app
+ * @param {Pick<Desk, "send">} desk
  * @param {object} listeners
  * @param {(state: FrameState) => void} listeners.onSaved called when the last waiting change is saved.
  * @param {(change: FrameChange | LaterChange) => void} listeners.onDropped the operator kept the others' version; this
@@ -46,56 +148,31 @@ export function createSaver(app, desk, { onSaved, onDropped, onBusy }) {
 
   async function send(/** @type {Waiting} */ entry) {
     const { frame } = entry;
-    /** @type {FrameChange | null} */
-    let change = null;
     let namingsSent = namings;
     try {
-      change = await changeOf(entry);
+      const change = await changeOf(entry);
       await change?.after;
       if (waiting[0] !== entry) return;
-      if (!change) {
-        waiting.shift();
-        return;
-      }
-      const sent = change;
-      await desk.enqueue(async () => {
-        const state = await stateOf(frame);
+      const body = (/** @type {FrameState} */ state) => {
         namingsSent = namings;
-        const body = { revision: state.frame.revision, ...sent.body(state) };
-        /** @type {FrameState | Api.SaveOut} */
-        const answer = await app.api.change(app.path("frames", frame, ...sent.path), body);
-        if ("state" in answer) sent.done?.(answer);
-        take("state" in answer ? answer.state : answer, frame);
-      });
+        return change?.body(state) ?? {};
+      };
+      const answer = change && (await desk.send(frame, { ...change, body }));
+      if (change && !answer) return drop();
       waiting.shift();
+      const open = app.state.frame;
+      if (answer && waiting.length === 0 && open?.frame.id === frame) onSaved(open);
     } catch (error) {
-      if (change && isStale(error)) await settle(error, change);
       // an error about a name that the change no longer has does not count: it is sent again
-      else if (namingsSent === namings) problem = error instanceof Error ? error : new Error(String(error));
+      if (namingsSent === namings) problem = error instanceof Error ? error : new Error(String(error));
     }
   }
 
-  /** The state of a change's frame, which the operator may have left. @returns {FrameState | Promise<FrameState>} */
-  function stateOf(/** @type {number} */ frame) {
-    const open = app.state.frame;
-    return open?.frame.id === frame ? open : app.api.get(app.path("frames", frame));
-  }
-
-  function take(/** @type {FrameState} */ state, /** @type {number} */ frame) {
-    if (app.state.frame?.frame.id !== frame) return;
-    app.frames.take(state);
-    if (waiting.length === 1) onSaved(currentFrame(app));
-  }
-
-  /**
-   * Lets the operator choose. "theirs": all waiting changes are dropped, but stay visible. "mine": the change is
-   * applied to the others' version and sent again.
-   */
-  async function settle(/** @type {StaleError} */ error, /** @type {FrameChange} */ change) {
-    const choice = await askVersion({ theirs: error.body.state, mine: change.mine(error.body.state) });
-    const dropped = choice === "theirs" ? waiting.map((entry) => entry.made ?? entry) : [];
-    if (choice === "theirs") waiting = [];
-    app.frames.take(error.body.state);
+  /** The operator keeps the others' version: all waiting changes are dropped, but stay visible. */
+  function drop() {
+    const dropped = waiting.map((entry) => ("make" in entry ? (entry.made ?? entry) : entry));
+    waiting = [];
+    if (app.state.frame) app.frames.take(app.state.frame);
     for (const one of dropped) onDropped(one);
   }
 

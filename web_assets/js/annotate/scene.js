@@ -5,14 +5,10 @@ import { h } from "../dom.js";
 /** Minimum time between updates for changes by others, ms; without a graphics card, one takes a third of a second. */
 const CALM_MS = { card: 300, software: 2500, none: 0 };
 
-export function createScene(
-  /** @type {HTMLElement} */ host,
-  /** @type {ModeApp} */ app,
-  /** @type {Desk} */ desk,
-  /** @type {() => Teach} */ teach,
-) {
+export function createScene(/** @type {Annotate} */ at) {
+  const { app, desk } = at;
   const body = h("div.viewport-host");
-  host.append(body);
+  at.parts.scene.append(body);
   const { viewport } = app;
   /** @type {Api.Gizmo} */
   let gizmo = "off";
@@ -55,7 +51,7 @@ export function createScene(
       frame: id,
       selected: desk.uid,
       previews,
-      draft: teach().sceneDraft(),
+      draft: at.teach.sceneDraft(),
       gizmo: gizmo === "off" ? "faces" : gizmo,
     };
     const text = JSON.stringify(scene);
@@ -76,6 +72,7 @@ export function createScene(
     setGizmo(/** @type {Api.Gizmo} */ mode) {
       gizmo = mode;
       send();
+      at.actions.show();
     },
     show: send,
     fail(/** @type {number | null} */ frame) {

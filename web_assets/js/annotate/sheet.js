@@ -8,7 +8,6 @@
 
 import { openDialog } from "../dialogs.js";
 import { button, count, h, patch } from "../dom.js";
-import { isAborted } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 import { frameName } from "../timeline/reading.js";
 
@@ -20,14 +19,8 @@ const HELP =
 const WIDTH = 292;
 const HEIGHT = 96;
 
-/**
- * `open` shows a box in its frame; `next` returns the one to go on with; `isFollowed` returns whether more boxes of a track are being found.
- *
- * @param {ModeApp} app
- * @param {{ desk: Desk, queue: Queue, preload: ReturnType<typeof import("./preload.js").createPreload>,
- *     open: (target: Target) => unknown, next: () => Target | null, isFollowed: (track: number) => boolean }} parts
- */
-export function createSheet(app, { desk, queue, preload, open, next, isFollowed }) {
+export function createSheet(/** @type {Annotate} */ at) {
+  const { app, desk, queue, opening, preload } = at;
   /** Tracks whose sheet was left to correct a box, as "recording/track". @type {Set<string>} */
   const left = new Set();
 
@@ -52,8 +45,6 @@ export function createSheet(app, { desk, queue, preload, open, next, isFollowed 
       if (!shown.some(isOpen)) return app.toast("All boxes of this track are reviewed.");
       if (isOwn) app.effort.action();
       await ask(recording, label.track_id, shown, !isOwn);
-    } catch (error) {
-      app.toast(error);
     } finally {
       for (const release of held) release();
     }
@@ -134,7 +125,7 @@ export function createSheet(app, { desk, queue, preload, open, next, isFollowed 
         shown.map(({ uid }) => tiles.get(uid)),
       );
       note.textContent = `${count(proposals.length, "proposal")} of ${count(shown.length, "box", "boxes")}. ${
-        isFollowed(track) ? "The object is still being followed; new boxes appear here." : HELP
+        at.follow.isFollowed(track) ? "The object is still being followed; new boxes appear here." : HELP
       }`;
     }
 
@@ -173,7 +164,7 @@ export function createSheet(app, { desk, queue, preload, open, next, isFollowed 
     /** Accepts the others; resolves to the box to correct, else to the first wrong one. */
     async function accept() {
       // what is found after a box to correct is replaced when that one is followed
-      if (corrected === null && isFollowed(track))
+      if (corrected === null && at.follow.isFollowed(track))
         throw new Error("The object is still being followed. Wait for the last boxes, or close this.");
       const right = proposals.filter(({ uid }) => !out.has(uid));
       app.effort.action();
@@ -207,8 +198,6 @@ export function createSheet(app, { desk, queue, preload, open, next, isFollowed 
       isReading = true;
       try {
         await app.api.lines(app.path("recordings", recording, "tracks", track, "sheet"), picture, { signal });
-      } catch (error) {
-        if (!isAborted(error)) app.toast(error);
       } finally {
         isReading = false;
       }
@@ -221,14 +210,10 @@ export function createSheet(app, { desk, queue, preload, open, next, isFollowed 
     async function update() {
       asked += 1;
       const own = asked;
-      try {
-        const boxes = await read(recording, track);
-        if (signal.aborted || own !== asked) return;
-        fill(boxes);
-        await load();
-      } catch (error) {
-        app.toast(error);
-      }
+      const boxes = await read(recording, track);
+      if (signal.aborted || own !== asked) return;
+      fill(boxes);
+      await load();
     }
 
     left.delete(nameOf(track));
@@ -239,7 +224,7 @@ export function createSheet(app, { desk, queue, preload, open, next, isFollowed 
       if (isOwn) void update();
     });
     // more may have changed since `shown` was read
-    if (isBack || isFollowed(track)) void update();
+    if (isBack || at.follow.isFollowed(track)) void update();
     const done = await openDialog({
       title: `Track ${track}`,
       testid: "sheet",
@@ -251,8 +236,8 @@ export function createSheet(app, { desk, queue, preload, open, next, isFollowed 
     stop();
     closed.abort();
     if (done?.wrong) left.add(nameOf(track));
-    const target = done && (done.wrong ?? next());
-    if (target) await open({ frame: target.frame, uid: target.uid });
+    const target = done && (done.wrong ?? (opening.inQueue ? queue.items[0] : null));
+    if (target) await opening.go({ frame: target.frame, uid: target.uid }, true);
   }
 
   return { show: () => show(true), again };

@@ -3,7 +3,6 @@
 import { valuesText } from "../attributes.js";
 import { boxAxis } from "../box3d.js";
 import { button, count, h, iconButton, patch } from "../dom.js";
-import { isAborted } from "../errors.js";
 import { headingMark, jumpText } from "../heading_mark.js";
 import { isOpen } from "./desk.js";
 import { shortName } from "./drawing.js";
@@ -17,12 +16,9 @@ import { createValueFilter, refill } from "./value_filter.js";
 /** Rows of the queue that are shown around the current one; others come and go in such numbers. */
 const [ROWS, STEP] = [120, 60];
 
-export function createQueueList(
-  /** @type {HTMLElement} */ host,
-  /** @type {ModeApp} */ app,
-  /** @type {Queue} */ queue,
-  /** @type {{ open: (target: Target) => unknown }} */ { open: go },
-) {
+export function createQueueList(/** @type {Annotate} */ at) {
+  const { app, queue, opening } = at;
+  const go = (/** @type {Target} */ target) => opening.go(target, true);
   /** A choice of the queue. @returns {HTMLSelectElement} */
   const select = (
     /** @type {"order" | "label" | "source"} */ key,
@@ -57,7 +53,7 @@ export function createQueueList(
   fill();
   order.append(...ORDERS.map(([value, text]) => h("option", { value }, text)));
   order.value = queue.order;
-  host.replaceChildren(
+  at.parts.queue.replaceChildren(
     h("header", h("h2", "To review"), h("span.grow"), left),
     h("div.choices", order, label, source, values.root),
     list,
@@ -73,8 +69,9 @@ export function createQueueList(
     if (isEnded) choose({ label: label.value, value: values.query() });
   }
 
-  function choose(/** @type {Parameters<Queue["choose"]>[0]} */ changes) {
-    queue.choose(changes).then(() => queue.items[0] && go(queue.items[0]), app.toast);
+  async function choose(/** @type {Parameters<Queue["choose"]>[0]} */ changes) {
+    await queue.choose(changes);
+    if (queue.items[0]) await go(queue.items[0]);
   }
 
   /** Offers the sources of the proposals, once there are any but annotator itself. */
@@ -200,13 +197,8 @@ function doubtBar(/** @type {number | null} */ doubt) {
 /**
  * The boxes of the frame; if several are open, with a small picture of each, so that they can be accepted together.
  */
-export function createBoxList(
-  /** @type {HTMLElement} */ host,
-  /** @type {ModeApp} */ app,
-  /** @type {Desk} */ desk,
-  /** @type {() => Teach} */ teach,
-  /** @type {(uid: string) => void} */ onOpen,
-) {
+export function createBoxList(/** @type {Annotate} */ at) {
+  const { app, desk } = at;
   const title = h("h2", "In this frame");
   const note = h("p.muted.pad.ellipsis", { "data-testid": "frame-summary" });
   const list = h("ul.rows", { "data-testid": "frame-boxes" });
@@ -216,7 +208,7 @@ export function createBoxList(
   /** The frame whose rows have pictures. @type {number | null} */
   let pictured = null;
   let request = new AbortController();
-  host.replaceChildren(h("header", title), note, list);
+  at.parts.boxes.replaceChildren(h("header", title), note, list);
 
   function draw() {
     const labels = desk.labels();
@@ -226,8 +218,8 @@ export function createBoxList(
     const hasPictures = pictured === frame;
     patch(
       list,
-      labels.map((label) => boxRow(app, label, desk, hasPictures ? (pictures.get(label.uid) ?? "") : null, onOpen)),
-      teach().unfinished.map((item) => unfinishedRow(item, teach())),
+      labels.map((label) => boxRow(at, label, hasPictures ? (pictures.get(label.uid) ?? "") : null)),
+      at.teach.unfinished.map((item) => unfinishedRow(item, at.teach)),
     );
   }
 
@@ -243,14 +235,10 @@ export function createBoxList(
     const { signal } = request;
     const take = (/** @type {Api.TileJson} */ { uid, png }) =>
       png && pictures.set(uid, `data:image/png;base64,${png}`);
-    try {
-      await new Promise((resolve) => setTimeout(resolve, REST_MS));
-      if (signal.aborted) return;
-      await app.api.lines(app.path("frames", frame.id, "sheet"), take, { signal });
-      if (!signal.aborted) draw();
-    } catch (error) {
-      if (!isAborted(error)) app.toast(error);
-    }
+    await new Promise((resolve) => setTimeout(resolve, REST_MS));
+    if (signal.aborted) return;
+    await app.api.lines(app.path("frames", frame.id, "sheet"), take, { signal });
+    if (!signal.aborted) draw();
   }
 
   return {
@@ -264,13 +252,11 @@ export function createBoxList(
 }
 
 /**
- * @param {ModeApp} app
+ * @param {Annotate} at
  * @param {PageLabel} label
- * @param {Desk} desk
  * @param {string | null} picture "": not drawn yet; null: the box has none.
- * @param {(uid: string) => void} onOpen
  */
-function boxRow(app, label, desk, picture, onOpen) {
+function boxRow({ app, desk, showBest }, label, picture) {
   const problem = desk.problemOf(label.uid);
   const { box } = desk.seen(label);
   const state = problem ? "not saved" : label.isNew ? "new" : label.state;
@@ -300,7 +286,7 @@ function boxRow(app, label, desk, picture, onOpen) {
         "data-testid": "frame-box",
         "data-uid": label.uid,
         "data-state": label.state,
-        ondblclick: () => onOpen(label.uid),
+        ondblclick: () => showBest(label.uid),
       },
     ),
   );

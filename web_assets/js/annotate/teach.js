@@ -24,16 +24,8 @@ const BUSY_WAIT_MS = 300;
 /** IoU above which a detected box and that of an object are the same object. */
 const SAME_OBJECT = 0.4;
 
-/**
- * @param {HTMLElement} host
- * @param {ModeApp} app
- * @param {Desk} desk
- * @param {object} parts
- * @param {() => void} parts.onChange called when what is drawn has changed.
- * @param {(on: boolean) => void} parts.onTurn called when the pseudo-views are shown, or not any more.
- * @param {() => boolean} parts.isImageBusy whether a box on the image is being dragged.
- */
-export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) {
+export function createTeach(/** @type {Annotate} */ at) {
+  const { app, desk, parts } = at;
   /** @type {Work} */
   const work = {
     items: [],
@@ -70,7 +62,6 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
   const views = createViewsPane(app, {
     onBox: (...change) => objects.setViewBox(...change),
     onClear: (...change) => objects.clearViewBox(...change),
-    onAcceptAll: accept,
     onKind: setKind,
     newLabel: () => work.draft?.item.image_box.label ?? "",
   });
@@ -91,7 +82,8 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
     },
   });
   const problem = createSaveProblem(app, saver, { onRelabel: rename, onDiscard: discard });
-  host.append(views.root);
+  parts.object.append(views.root);
+  parts.problem.append(problem.root);
   views.root.hidden = true;
 
   // -- the frame's objects
@@ -144,8 +136,9 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
 
   /** Reads what others have saved, but not during a drag or while saving. */
   async function refresh() {
-    if (!app.frames.isBehind || saver.isBusy || !host.isConnected) return;
-    const isBusy = () => saver.isBusy || isImageBusy() || views.editors.some(({ isDragging }) => isDragging);
+    if (!app.frames.isBehind || saver.isBusy || !parts.root.isConnected) return;
+    const isBusy = () =>
+      saver.isBusy || at.image.editor.isDragging || views.editors.some(({ isDragging }) => isDragging);
     if (!isBusy()) await app.frames.refresh(() => !isBusy());
     if (app.frames.isBehind) setTimeout(refresh, BUSY_WAIT_MS);
   }
@@ -207,7 +200,7 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
     views.setReadonly(work.isReadonly);
     views.showKind(work.kind, work.isReadonly);
     views.show(isOn ? work.draft : null);
-    onChange();
+    at.showDrawn();
   }
 
   /** The objects whose boxes on the image are shown: the current one, and those that are not finished. */
@@ -282,7 +275,8 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
   function turn(/** @type {boolean} */ on) {
     isOn = on;
     views.root.hidden = !on;
-    onTurn(on);
+    parts.ortho.hidden = on;
+    if (!on) void at.ortho.show();
     follow();
     show();
   }
@@ -307,7 +301,7 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
     const { project } = app.state;
     if (kind !== project.settings.box_kind) {
       app.state.set({ project: { ...project, settings: { ...project.settings, box_kind: kind } } });
-      app.api.put(app.path("box-kind"), { box_kind: kind }).catch(app.toast);
+      void app.api.put(app.path("box-kind"), { box_kind: kind });
     }
     const known = app.state.frame?.image_boxes;
     if (known?.boxes.length && known.box_kind !== kind && !work.isReadonly) saver.save(kindChange(kind));
@@ -349,7 +343,6 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
     get unfinished() {
       return work.items.filter((item) => !item.uid);
     },
-    problem: problem.root,
     shown,
     overlays,
     hint,
@@ -404,7 +397,7 @@ export function createTeach(host, app, desk, { onChange, onTurn, isImageBusy }) 
     },
     /** Cancels a drag on the views, or else closes the object; false if there is neither. */
     cancel() {
-      if (views.editors.some((editor) => editor.isDragging && editor.cancel())) return true;
+      if (views.editors.some((editor) => editor.cancel())) return true;
       if (!work.draft || work.draft.item.uid || work.draft.item.found) return false;
       close();
       show();

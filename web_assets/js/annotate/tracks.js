@@ -86,22 +86,10 @@ function besides(
   return { from: timeline?.frames[before ?? place] ?? frame, to: timeline?.frames[after ?? place] ?? frame };
 }
 
-/**
- * `open` shows a box in its frame, `sheet` the contact sheet. `onChanged` is called when boxes of other frames have
- * changed.
- */
-export function createTracks(
-  /** @type {HTMLElement} */ host,
-  /** @type {ModeApp} */ app,
-  /** @type {Desk} */ desk,
-  /** @type {{ open: (target: Target) => unknown, sheet: () => unknown, onChanged: () => unknown }} */ {
-    open,
-    sheet,
-    onChanged,
-  },
-) {
+export function createTracks(/** @type {Annotate} */ at) {
+  const { app, desk, opening } = at;
   const title = h("span.grow.ellipsis");
-  const all = button(["Sheet", h("kbd", "S")], () => sheet(), {
+  const all = button(["Sheet", h("kbd", "S")], () => at.commands.keys.sheet(""), {
     title: "All boxes of this track as small pictures, to be accepted together (S)",
     "data-testid": "act-sheet",
   });
@@ -118,7 +106,7 @@ export function createTracks(
     h("div.row", title, all),
     h("div.row", { role: "toolbar", "aria-label": "This track" }, acts),
   );
-  host.append(body);
+  at.parts.track.append(body);
 
   const recording = () => currentFrame(app).frame.recording;
   const path = (/** @type {number} */ id) => app.path("recordings", recording(), "tracks", id);
@@ -142,18 +130,14 @@ export function createTracks(
     if (!label) return;
     if (label.track_id === null)
       return app.toast("This box has no track yet. Type a number in its field Track.", "warn");
-    try {
-      const index = currentFrame(app).frame.index ?? 0;
-      const boxes = await app.api.get(path(label.track_id));
-      const others = boxes.filter(
-        (box) => box.index !== null && box.state !== "rejected" && (by > 0 ? box.index > index : box.index < index),
-      );
-      const next = by > 0 ? others[0] : others[others.length - 1];
-      if (next) await open({ frame: next.frame, uid: next.uid });
-      else app.toast(by > 0 ? "No later frame has this object." : "No earlier frame has this object.");
-    } catch (error) {
-      app.toast(error);
-    }
+    const index = currentFrame(app).frame.index ?? 0;
+    const boxes = await app.api.get(path(label.track_id));
+    const others = boxes.filter(
+      (box) => box.index !== null && box.state !== "rejected" && (by > 0 ? box.index > index : box.index < index),
+    );
+    const next = by > 0 ? others[0] : others[others.length - 1];
+    if (next) await opening.go({ frame: next.frame, uid: next.uid });
+    else app.toast(by > 0 ? "No later frame has this object." : "No earlier frame has this object.");
   }
 
   /** Copies the selected box to the next frame, and goes there. */
@@ -161,14 +145,10 @@ export function createTracks(
     const label = desk.stored();
     if (!label || label.isNew) return;
     await desk.flush();
-    try {
-      const done = await desk.change("copy-next", () => ({ uid: label.uid }));
-      await open(done);
-      const copies = desk.labels().filter(({ uid }) => uid === done.uid);
-      app.toast(...copiedText(copies));
-    } catch (error) {
-      app.toast(error);
-    }
+    const done = await desk.change({ path: ["copy-next"], body: () => ({ uid: label.uid }), stateOf: () => null });
+    await opening.go(done);
+    const copies = desk.labels().filter(({ uid }) => uid === done.uid);
+    app.toast(...copiedText(copies));
   }
 
   /**
@@ -237,7 +217,9 @@ export function createTracks(
     if (!done) return;
     app.toast(`Track ${track}: ${done.words}.`, "good");
     await app.frames.refresh();
-    await onChanged();
+    // boxes of other frames may have new uids
+    await at.queue.load();
+    at.sheet.again();
   }
 
   return { show, step, copyToNext, operate };

@@ -1,10 +1,8 @@
-/** If others have changed the frame in the meantime, the operator chooses between the two versions. */
+/** What an operator's changes are on a frame that others have changed, and which of two boxes of a track stays. */
 
 import { cameraOf, outline } from "../camera.js";
 import { openDialog } from "../dialogs.js";
 import { h } from "../dom.js";
-import { isStale } from "../errors.js";
-import { askVersion } from "../stale.js";
 
 /** @type {Record<string, string>} */
 const VERBS = {
@@ -19,55 +17,28 @@ const VERBS = {
 };
 
 /**
- * @param {Pick<App, "api" | "path">} app
- * @param {StaleError} error
- * @param {{changes: Change[], subject: string | null, take: (frame: FrameState) => unknown}} sent what
- *     was sent; `take` is called with a new state of the frame.
- * @throws {Error} the operator's version could not be applied to the others' version.
+ * The body of changes of a frame: of those whose boxes are there, and edited boxes that others have deleted are added.
+ *
+ * @throws {Error} there is none of them.
  */
-export async function resolveStale(app, error, { changes, subject, take }) {
-  const theirs = error.body.state;
-  const choice = await askVersion({ theirs, mine: shown(theirs, changes) });
-  if (choice === "theirs") {
-    take(theirs);
-    return;
-  }
-  try {
-    take(await sendAgain(app, theirs, changes, subject));
-  } catch (again) {
-    if (!isStale(again)) {
-      take(theirs);
-      throw again;
-    }
-    await resolveStale(app, again, { changes, subject, take });
-  }
-}
-
-/** @returns {Promise<FrameState>} */
-async function sendAgain(
-  /** @type {Pick<App, "api" | "path">} */ app,
-  /** @type {FrameState} */ theirs,
+export function changesOn(
+  /** @type {FrameState} */ state,
   /** @type {Change[]} */ changes,
   /** @type {string | null} */ subject,
 ) {
-  const uids = new Set(theirs.labels.map(({ uid }) => uid));
+  const uids = new Set(state.labels.map(({ uid }) => uid));
   const isGone = (/** @type {Change} */ { uid }) => uid !== undefined && !uids.has(uid);
   const present = changes.map((change) => (change.kind === "edit" && isGone(change) ? asNew(change) : change));
   const fitting = present.filter((change) => !isGone(change));
-  if (fitting.length === 0) throw new Error("Another operator has deleted the box.");
-  const body = {
-    revision: theirs.frame.revision,
-    changes: fitting,
-    subject: subject !== null && uids.has(subject) ? subject : null,
-  };
-  return app.api.change(app.path("frames", theirs.frame.id, "changes"), body);
+  if (fitting.length === 0) throw new Error("The box was deleted elsewhere.");
+  return { changes: fitting, subject: subject !== null && uids.has(subject) ? subject : null };
 }
 
 /** The change that adds an edited box again, as a new one, after others have deleted it. @returns {Change} */
 const asNew = (/** @type {Change} */ { label, box, track_id }) => ({ kind: "create", label, box, track_id });
 
-/** @returns {Mine} */
-function shown(/** @type {FrameState} */ theirs, /** @type {Change[]} */ changes) {
+/** The operator's version of a frame. @returns {Mine} */
+export function versionOf(/** @type {FrameState} */ theirs, /** @type {Change[]} */ changes) {
   const labels = new Map(theirs.labels.map((label) => [label.uid, label]));
   const camera = cameraOf(theirs.image);
   const boxes = changes.flatMap(({ box, uid }) => box ?? labels.get(uid ?? "")?.box ?? []);

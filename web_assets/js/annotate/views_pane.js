@@ -24,24 +24,15 @@ const KINDS = [
 ];
 
 /**
- * @typedef {object} Pane
- * @property {Editor} editor
- * @property {HTMLElement} element
- * @property {HTMLElement} caption
- * @property {string} name
- */
-
-/**
  * @param {ModeApp} app
  * @param {object} listeners
  * @param {(index: number, box: Box2D, actions: number) => void} listeners.onBox called when a
  *     box was set on view `index` (0 to 3).
  * @param {(index: number, actions: number) => void} listeners.onClear called when a view's box was deleted.
- * @param {() => boolean} listeners.onAcceptAll accepts all suggested boxes.
  * @param {(kind: Api.BoxKind) => void} listeners.onKind called with what the boxes are to enclose.
  * @param {() => string} listeners.newLabel
  */
-export function createViewsPane(app, { onBox, onClear, onAcceptAll, onKind, newLabel }) {
+export function createViewsPane(app, { onBox, onClear, onKind, newLabel }) {
   const panes = VIEWS.map(([name, testid], index) => makePane(name, testid, index));
   const messages = [0, 1].map((step) =>
     h("p.views-message", { role: "status", "data-testid": step ? "views-message-2" : "views-message" }),
@@ -65,7 +56,6 @@ export function createViewsPane(app, { onBox, onClear, onAcceptAll, onKind, newL
     source,
   );
 
-  /** @returns {Pane} */
   function makePane(/** @type {string} */ name, /** @type {string} */ testid, /** @type {number} */ index) {
     const caption = h("span.view-name", name);
     const host = h("div.view", { "data-testid": testid });
@@ -74,7 +64,6 @@ export function createViewsPane(app, { onBox, onClear, onAcceptAll, onKind, newL
       single: true,
       color: ({ label }) => classColor(app.state.project, label),
       newLabel,
-      onEnter: onAcceptAll,
       onChange(boxes, why, changed, actions) {
         if (why === "delete") onClear(index, actions);
         else onBox(index, boxes[changed], actions);

@@ -44,9 +44,7 @@ export function mount(root, app, until) {
 
   function show(/** @type {Api.CheckReport} */ { warnings, labels, unreadable, uncounted }) {
     note.textContent =
-      uncounted > 0
-        ? `Counting points: ${count(uncounted, "frame")} left …`
-        : `${count(labels, "box", "boxes")} checked.`;
+      uncounted > 0 ? `Counting points: ${count(uncounted, "frame")} left …` : `${count(labels, "box")} checked.`;
     const failed = unreadable.length
       ? [h("div.error-box", { role: "alert" }, `What cannot be read:\n${unreadable.join("\n")}`)]
       : [];
@@ -91,15 +89,15 @@ export function mount(root, app, until) {
     );
   }
 
-  function row(/** @type {Api.WarningRow} */ { frame, key, recording, uid, message }) {
+  function row(/** @type {Api.WarningRow} */ { frame, number, key, recording, uid, message }) {
     const href = makeHash(app.state.route.project, "annotate", frame, { uid });
     return h(
       "li",
       h(
         "a",
-        { href, "data-testid": "warning", "data-uid": uid },
+        { href, title: key, "data-testid": "warning", "data-uid": uid },
         h("span.grow", message),
-        h("span.muted.number", `${recording}, frame ${key}`),
+        h("span.muted.number", `${recording}, frame ${number ?? key}`),
       ),
     );
   }

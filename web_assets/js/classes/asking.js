@@ -10,7 +10,7 @@ const UNDO = "Undo (Ctrl+Z) takes it back.";
 export function boxesOf(/** @type {Api.ClassRow} */ { labels, boxes_2d, said }) {
   const known = [
     labels && count(labels, "3D label"),
-    boxes_2d && count(boxes_2d, "2D box", "2D boxes"),
+    boxes_2d && count(boxes_2d, "2D box"),
     said && count(said, "further 3D box of a source", "further 3D boxes of sources"),
   ];
   return known.filter(Boolean).join(" and ") || "no boxes";

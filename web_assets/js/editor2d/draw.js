@@ -13,23 +13,7 @@ const END_ON = { sight: Math.cos((15 * Math.PI) / 180), radius: 6 };
 
 const round = (/** @type {number} */ value) => Math.round(value * 100) / 100;
 
-/**
- * @typedef {object} Scene
- * @property {View} view
- * @property {Size} size of the window.
- * @property {EditorBox[]} boxes
- * @property {number} selected
- * @property {Overlay[]} overlays
- * @property {boolean} canTurn there is a rotation handle.
- * @property {Point | null} sight the line of sight, px of the picture for each metre.
- * @property {boolean} isReadonly
- * @property {Point | null} cross
- * @property {number} turnRad of the selected box, during a turn of its rotation handle.
- * @property {number} slideM how far the selected box is being moved along the line of sight, metres.
- * @property {(box: EditorBox) => string} color
- */
-
-export function drawScene(/** @type {SVGSVGElement} */ svg, /** @type {Scene} */ scene) {
+export function drawScene(/** @type {SVGSVGElement} */ svg, /** @type {Editor} */ scene) {
   /** @type {Element[]} */
   const layers = [...scene.overlays.map((overlay) => drawOverlay(overlay, scene.view)), ...drawTags(scene)];
   scene.boxes.forEach((box, index) => {
@@ -51,9 +35,9 @@ function windowRect(/** @type {Rect} */ box, /** @type {View} */ view) {
   };
 }
 
-function drawBox(/** @type {EditorBox} */ box, /** @type {number} */ index, /** @type {Scene} */ scene) {
+function drawBox(/** @type {EditorBox} */ box, /** @type {number} */ index, /** @type {Editor} */ scene) {
   const rect = windowRect(box, scene.view);
-  const color = scene.color(box);
+  const color = scene.options.color(box);
   const isSelected = index === scene.selected;
   const group = s("g", {
     class: ["box", isSelected && "selected", box.suggested && "suggested", box.faint && "faint"]
@@ -67,13 +51,11 @@ function drawBox(/** @type {EditorBox} */ box, /** @type {number} */ index, /** 
   const text = box.caption ?? box.label;
   if (text) group.append(...drawCaption(text, rect, color));
   if (isSelected && !scene.isReadonly) group.append(...drawHandles(rect, scene));
-  if (isSelected && scene.slideM && scene.sight) {
-    const by = scene.sight.map((px) => round(px * scene.slideM * scene.view.scale));
-    group.setAttribute("transform", `translate(${by.join(" ")})`);
-  }
-  if (isSelected && scene.turnRad) {
-    const turnDeg = (scene.turnRad * 180) / Math.PI;
-    group.setAttribute("transform", `rotate(${turnDeg} ${rect.x + rect.width / 2} ${rect.y + rect.height / 2})`);
+  if (isSelected && scene.pulled) {
+    const { handle, by } = scene.pulled;
+    const shift = (scene.sight ?? [0, 0]).map((px) => round(px * by * scene.view.scale));
+    const turn = `rotate(${(by * 180) / Math.PI} ${rect.x + rect.width / 2} ${rect.y + rect.height / 2})`;
+    group.setAttribute("transform", handle === "turn" ? turn : `translate(${shift.join(" ")})`);
   }
   return group;
 }
@@ -94,7 +76,7 @@ function drawCaption(
 
 function drawHandles(
   /** @type {{ x: number, y: number } & Size} */ { x, y, width, height },
-  /** @type {Pick<Scene, "canTurn" | "sight">} */ { canTurn, sight },
+  /** @type {Editor} */ { options, sight },
 ) {
   /** @type {Element[]} */
   const marks = [];
@@ -104,7 +86,7 @@ function drawHandles(
   for (const cx of [x, x + width]) for (const cy of [y, y + height]) mark(cx, cy);
   if (width > 28) for (const cy of [y, y + height]) mark(midX, cy);
   if (height > 28) for (const cx of [x, x + width]) mark(cx, midY);
-  if (canTurn) {
+  if (options.onPull) {
     marks.push(s("line.arm", { x1: midX, y1: y, x2: midX, y2: y - ROTATE_ARM }));
     marks.push(s("circle.handle.rotate", { cx: midX, cy: y - ROTATE_ARM, r: 6, "data-testid": "rotate-handle" }));
   }
@@ -198,7 +180,7 @@ const TAG_HEIGHT = 14;
  * Small texts at the top corners of overlays. A text that would cover another one is moved to the next
  * free place, or left out.
  */
-function drawTags(/** @type {Pick<Scene, "overlays" | "view" | "size">} */ { overlays, view, size }) {
+function drawTags(/** @type {Pick<Editor, "overlays" | "view" | "size">} */ { overlays, view, size }) {
   /** @type {Tag[]} */
   const taken = [];
   const tagged = overlays.flatMap((one) => (one.tag && one.segments.length ? [{ ...one, tag: one.tag }] : []));

@@ -6,6 +6,7 @@
 import { h, iconButton, s } from "../dom.js";
 import { drawScene } from "./draw.js";
 import { createView, heightOf, moved, pictureLimits, resized, widthOf } from "./geometry.js";
+import { beginGesture, hitTest } from "./gestures.js";
 import { listenToPointers } from "./pointers.js";
 
 const NUDGES_END_MS = 500;
@@ -30,21 +31,13 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
     image,
     svg,
     readout,
-    h("div.zoom-bar", zoomText, iconButton("fit", "Fit the picture (0)", fit, { tabindex: -1 })),
+    h(
+      "div.zoom-bar",
+      zoomText,
+      iconButton("fit", "Fit the picture (0)", () => editor.fit(), { tabindex: -1 }),
+    ),
     spoken,
   );
-  /** @type {EditorBox[]} */
-  let boxes = [];
-  let selected = -1;
-  /** @type {Overlay[]} */
-  let overlays = [];
-  /** @type {Point | null} */
-  let sight = null;
-  let isReadonly = false;
-  /** @type {Point | null} */
-  let cross = null;
-  let turnRad = 0;
-  let slideM = 0;
   let drawn = 0;
   /** @type {string | null} */
   let shownUrl = null;
@@ -55,10 +48,6 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
   /** What comes late, as an answer of the server, is not drawn. */
   let isOver = false;
 
-  function redraw() {
-    drawn ||= requestAnimationFrame(draw);
-  }
-
   function draw() {
     drawn = 0;
     if (isOver) return;
@@ -68,26 +57,9 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
     // magnified pixels are not smoothed, so that an edge can be aligned with one
     image.classList.toggle("crisp", view.scale * devicePixelRatio > 1.5);
     svg.setAttribute("viewBox", `0 0 ${size.width} ${size.height}`);
-    const { color, onRotate } = options;
-    const canTurn = onRotate !== undefined;
-    drawScene(svg, {
-      view,
-      size,
-      boxes,
-      selected,
-      overlays,
-      canTurn,
-      sight,
-      isReadonly,
-      cross,
-      turnRad,
-      slideM,
-      color,
-    });
+    drawScene(svg, editor);
     zoomText.textContent = `${Math.round(view.scale * 100)} %`;
   }
-
-  const clone = () => boxes.map((box) => ({ ...box }));
 
   function say(/** @type {string} */ text) {
     spoken.textContent = text;
@@ -98,155 +70,165 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
     return `${box.suggested ? "suggested " : ""}${box.label || "box"}, ${width} by ${height} pixels at ${x}, ${y}`;
   }
 
-  function fit() {
-    view.fit();
-    redraw();
+  function forgetNudges() {
+    clearTimeout(nudged.timer);
+    nudged = { index: -1, actions: 0, timer: 0 };
   }
 
-  /** @type {EditorInside} */
-  const inner = {
+  /** Arrow keys of the focused editor; true if the key was one of them. Other keys are those of the mode. */
+  function onKey(/** @type {KeyboardEvent} */ event) {
+    const box = editor.boxes[editor.selected];
+    const arrow = ARROWS[event.key];
+    if (!arrow || event.ctrlKey || event.metaKey || editor.isReadonly || !box) return false;
+    const [dx, dy] = arrow.map((value) => value * (event.shiftKey ? 10 : 1));
+    const limits = editor.limits();
+    const changed = event.altKey
+      ? resized(box, dx === 0 ? 0 : 1, dy === 0 ? 0 : 1, dx, dy, limits)
+      : moved(box, dx, dy, limits);
+    editor.put(editor.selected, changed);
+    clearTimeout(nudged.timer);
+    const timer = setTimeout(() => editor.flush(), NUDGES_END_MS);
+    nudged = { index: editor.selected, actions: nudged.actions + 1, timer };
+    return true;
+  }
+
+  /** @type {Editor} */
+  const editor = {
     root,
     view,
     size,
     options,
-    get boxes() {
-      return boxes;
+    boxes: [],
+    selected: -1,
+    overlays: [],
+    sight: null,
+    isReadonly: false,
+    cross: null,
+    pulled: null,
+
+    redraw() {
+      drawn ||= requestAnimationFrame(draw);
     },
-    get selected() {
-      return selected;
-    },
-    get overlays() {
-      return overlays;
-    },
-    get sight() {
-      return sight;
-    },
-    redraw,
-    flush,
-    isReadonly: () => isReadonly,
-    canDraw: () => (options.canDraw?.() ?? true) && !isReadonly && picture.width > 0,
+    canDraw: () => (options.canDraw?.() ?? true) && !editor.isReadonly && picture.width > 0,
     limits: () => pictureLimits(picture, options.clip !== false),
-    newBox: () => ({ label: options.newLabel?.() ?? "" }),
-    select: selectBox,
-    setCross(/** @type {Point | null} */ point, /** @type {Point} */ px) {
-      cross = point;
+    setCross(point, px) {
+      editor.cross = point;
       readout.textContent = px && point ? `${px[0].toFixed(1)}, ${px[1].toFixed(1)}` : "";
-      redraw();
+      editor.redraw();
     },
-    restore(/** @type {{ boxes: EditorBox[], selected: number }} */ before) {
-      boxes = before.boxes;
-      selected = before.selected;
-      redraw();
-      options.onDrag?.(clone(), selected);
+    show(boxes, selected) {
+      Object.assign(editor, { boxes, selected });
+      editor.redraw();
+      options.onDrag?.(boxes, selected);
     },
-    replace(/** @type {EditorBox[]} */ list, /** @type {number} */ index) {
-      boxes = list;
-      selected = index;
-      redraw();
-      options.onDrag?.(clone(), index);
-    },
-    put(/** @type {number} */ index, /** @type {EditorBox} */ box) {
-      boxes = boxes.with(index, box);
-      redraw();
-      options.onDrag?.(clone(), index);
-    },
-    commit(/** @type {EditKind} */ why, /** @type {number} */ index) {
+    put: (index, box) => editor.show(editor.boxes.with(index, { ...box, suggested: false }), editor.selected),
+    commit(why, index, actions = 1) {
       if (why === "draw") options.onSelect?.(index);
-      say(describe(boxes[index]));
-      redraw();
-      options.onChange?.(clone(), why, index, 1);
+      say(describe(editor.boxes[index]));
+      editor.redraw();
+      options.onChange?.(editor.boxes, why, index, actions);
     },
-    turn(/** @type {number} */ angleRad, /** @type {boolean} */ isFinal) {
-      turnRad = angleRad;
-      redraw();
-      options.onRotate?.(angleRad, isFinal);
+    pull(handle, by, isFinal) {
+      editor.pulled = { handle, by };
+      editor.redraw();
+      options.onPull?.(handle, by, isFinal);
     },
-    slide(/** @type {number} */ metres, /** @type {boolean} */ isFinal) {
-      slideM = metres;
-      redraw();
-      options.onSlide?.(metres, isFinal);
+    select(index) {
+      if (index !== editor.selected) editor.flush();
+      const known = editor.boxes[index] ? index : -1;
+      const isNew = known !== editor.selected;
+      editor.selected = known;
+      editor.redraw();
+      if (!isNew) return;
+      if (known >= 0) say(describe(editor.boxes[known]));
+      options.onSelect?.(known);
     },
-    accept(/** @type {number} */ index) {
-      boxes = boxes.with(index, { ...boxes[index], suggested: false });
-      inner.commit("accept", index);
+
+    async setPicture(url, width, height) {
+      if (url === shownUrl && width === picture.width && height === picture.height) return true;
+      shownUrl = url;
+      const isSameSize = width === picture.width && height === picture.height;
+      if (!isSameSize) image.removeAttribute("src");
+      picture.width = width ?? 0;
+      picture.height = height ?? 0;
+      root.classList.toggle("blank", url === null);
+      if (!size.width) {
+        // before the observer reports it, so that pictures are fitted into the window at once
+        const { width, height } = root.getBoundingClientRect();
+        Object.assign(size, { width, height, border: width });
+      }
+      if (!isSameSize || view.isFitted) view.fit();
+      draw();
+      if (url === null) return true;
+      const fresh = new Image();
+      fresh.src = url;
+      await fresh.decode().catch(() => null);
+      if (shownUrl !== url) return false;
+      image.src = url;
+      root.classList.toggle("broken", fresh.naturalWidth === 0);
+      return true;
+    },
+    setBoxes(list, index = -1) {
+      pointers.cancel();
+      forgetNudges();
+      Object.assign(editor, { boxes: list, selected: list[index] ? index : -1, pulled: null });
+      editor.redraw();
+    },
+    setOverlays(overlays, sight = null) {
+      Object.assign(editor, { overlays, sight });
+      editor.redraw();
+    },
+    setReadonly(value) {
+      editor.isReadonly = value;
+      root.classList.toggle("readonly", value);
+      editor.redraw();
+    },
+    fit() {
+      view.fit();
+      editor.redraw();
+    },
+    deleteSelected() {
+      const index = editor.selected;
+      if (index < 0 || editor.isReadonly) return;
+      editor.flush();
+      editor.boxes = editor.boxes.toSpliced(index, 1);
+      editor.select(-1);
+      say("deleted");
+      options.onChange?.(editor.boxes, "delete", index, 1);
+    },
+    cancel: () => pointers.cancel(),
+    flush() {
+      const { index, actions } = nudged;
+      forgetNudges();
+      if (actions > 0) editor.commit("nudge", index, actions);
+    },
+    get isDragging() {
+      return pointers.isBusy() || nudged.actions > 0;
+    },
+    destroy() {
+      editor.flush();
+      pointers.stop();
+      watcher.disconnect();
+      cancelAnimationFrame(drawn);
+      isOver = true;
+      root.remove();
     },
   };
 
-  function selectBox(/** @type {number} */ index) {
-    if (index !== selected) flush();
-    const known = boxes[index] ? index : -1;
-    const isNew = known !== selected;
-    selected = known;
-    redraw();
-    if (!isNew) return;
-    if (known >= 0) say(describe(boxes[known]));
-    options.onSelect?.(known);
-  }
-
-  /** Handles keys of the focused editor; true if the key was one of them. */
-  function onKey(/** @type {KeyboardEvent} */ event) {
-    if (event.key === "Escape") return editor.cancel();
-    if (event.key === "Insert") return newBoxInTheMiddle();
-    if (event.key === "0" && !event.ctrlKey) {
-      fit();
-      return true;
-    }
-    if (event.key === "Delete" || event.key === "Backspace") return editor.deleteSelected();
-    if (event.key === "Enter") return options.onEnter?.() ?? false;
-    const arrow = ARROWS[event.key];
-    if (!arrow || event.ctrlKey || event.metaKey || isReadonly || !boxes[selected]) return false;
-    const step = event.shiftKey ? 10 : 1;
-    nudge(arrow[0] * step, arrow[1] * step, event.altKey);
-    return true;
-  }
-
-  function nudge(/** @type {number} */ dx, /** @type {number} */ dy, /** @type {boolean} */ isSize) {
-    const box = boxes[selected];
-    const limits = inner.limits();
-    const changed = isSize
-      ? resized(box, dx === 0 ? 0 : 1, dy === 0 ? 0 : 1, dx, dy, limits)
-      : moved(box, dx, dy, limits);
-    inner.put(selected, { ...changed, suggested: false });
-    clearTimeout(nudged.timer);
-    nudged = { index: selected, actions: nudged.actions + 1, timer: setTimeout(flush, NUDGES_END_MS) };
-  }
-
-  /** Several key presses in quick succession count as one change. */
-  function flush() {
-    const { index, actions, timer } = nudged;
-    if (actions === 0) return;
-    clearTimeout(timer);
-    nudged = { index: -1, actions: 0, timer: 0 };
-    say(describe(boxes[index]));
-    options.onChange?.(clone(), "nudge", index, actions);
-  }
-
-  function newBoxInTheMiddle() {
-    if (!inner.canDraw() || options.isAsked?.() === false) return false;
-    flush();
-    const [x, y] = view.toPicture([size.width / 2, size.height / 2]);
-    const [dx, dy] = [size.width / view.scale / 8, size.height / view.scale / 8];
-    const box = { ...inner.newBox(), x_min: x - dx, y_min: y - dy, x_max: x + dx, y_max: y + dy };
-    boxes = options.single ? [box] : [...boxes, box];
-    selected = boxes.length - 1;
-    inner.commit("draw", selected);
-    return true;
-  }
-
-  const pointers = listenToPointers(inner);
+  const pointers = listenToPointers({
+    ...{ root, size, view },
+    ...{ redraw: editor.redraw, flush: editor.flush, setCross: editor.setCross, onEnd: options.onEnd },
+    hit: (px, event) => hitTest(editor, px, event.pointerType, event.shiftKey),
+    begin: (hit, px, point) => beginGesture(editor, hit, px, point),
+    isAsked: options.isAsked,
+  });
   root.addEventListener("keydown", (event) => {
     if (event.target === root && !event.defaultPrevented && onKey(event)) {
       event.preventDefault();
       event.stopPropagation();
     }
   });
-  root.addEventListener("blur", flush);
-  /** The initial size, before the observer reports it, so that pictures are fitted into the window at once. */
-  function measure() {
-    const { width, height } = root.getBoundingClientRect();
-    Object.assign(size, { width, height, border: width });
-  }
-
+  root.addEventListener("blur", editor.flush);
   const watcher = new ResizeObserver(([{ contentBoxSize, borderBoxSize }]) => {
     const before = { ...size };
     Object.assign(size, {
@@ -260,107 +242,5 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
   });
   host.append(root);
   watcher.observe(root);
-
-  const editor = {
-    root,
-
-    /**
-     * Shows a picture of width x height px, or none (null). The previous picture stays until the new one is decoded,
-     * and the zoom stays if the size does.
-     *
-     * @param {string | null} url
-     * @param {number} [width]
-     * @param {number} [height]
-     * @returns {Promise<boolean>} resolves when it is on the screen; to false if a later call has replaced it.
-     */
-    async setPicture(url, width, height) {
-      if (url === shownUrl && width === picture.width && height === picture.height) return true;
-      shownUrl = url;
-      const isSameSize = width === picture.width && height === picture.height;
-      if (!isSameSize) image.removeAttribute("src");
-      picture.width = width ?? 0;
-      picture.height = height ?? 0;
-      root.classList.toggle("blank", url === null);
-      if (!size.width) measure();
-      if (!isSameSize || view.isFitted) view.fit();
-      draw();
-      if (url === null) return true;
-      const fresh = new Image();
-      fresh.src = url;
-      await fresh.decode().catch(() => null);
-      if (shownUrl !== url) return false;
-      image.src = url;
-      root.classList.toggle("broken", fresh.naturalWidth === 0);
-      return true;
-    },
-
-    /** New boxes; a drag in progress is cancelled. */
-    setBoxes(/** @type {EditorBox[]} */ list, /** @type {number} */ index = -1) {
-      pointers.cancel();
-      clearTimeout(nudged.timer);
-      nudged = { index: -1, actions: 0, timer: 0 };
-      boxes = list.map((box) => ({ ...box }));
-      selected = boxes[index] ? index : -1;
-      turnRad = 0;
-      slideM = 0;
-      redraw();
-    },
-    setOverlays(/** @type {Overlay[]} */ list) {
-      overlays = list;
-      redraw();
-    },
-    /** The line of sight, px for each metre, along which a handle moves the box; null: there is no handle. */
-    setSight(/** @type {Point | null} */ along) {
-      sight = along;
-      redraw();
-    },
-    setReadonly(/** @type {boolean} */ value) {
-      isReadonly = value;
-      root.classList.toggle("readonly", value);
-      redraw();
-    },
-    fit,
-    deleteSelected() {
-      if (selected < 0 || isReadonly || options.canDelete === false) return false;
-      flush();
-      const index = selected;
-      boxes = boxes.toSpliced(index, 1);
-      selectBox(-1);
-      say("deleted");
-      options.onChange?.(clone(), "delete", index, 1);
-      return true;
-    },
-    /** Cancels the drag, or else deselects; false if there was neither a drag nor a selection. */
-    cancel() {
-      if (pointers.cancel()) return true;
-      if (selected < 0 || options.single) return false;
-      selectBox(-1);
-      return true;
-    },
-    key: onKey,
-    flush,
-    /** True during a drag, and while key presses are collected into one change; setBoxes must not be called then. */
-    get isDragging() {
-      return pointers.isBusy() || nudged.actions > 0;
-    },
-    get boxes() {
-      return clone();
-    },
-    get selected() {
-      return selected;
-    },
-    /** {scale, offset: [x, y]}: window = offset + (px + 0.5) * scale, CSS pixels of `root`. */
-    get transform() {
-      return { scale: view.scale, offset: [...view.offset] };
-    },
-    destroy() {
-      flush();
-      pointers.stop();
-      watcher.disconnect();
-      cancelAnimationFrame(drawn);
-      isOver = true;
-      root.remove();
-    },
-  };
   return editor;
 }

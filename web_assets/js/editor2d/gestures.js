@@ -23,28 +23,16 @@ const REACH = { mouse: 6, pen: 8, touch: 16 };
 /**
  * The actions of a drag; `cancel` only if it must restore something other than the boxes.
  *
- * @typedef {{ move: (px: Point) => void, finish: () => void, cancel?: () => void }} Drag
+ * @typedef {{ move: (px: Point, point: Point) => void, finish: () => void, cancel?: () => void }} Drag
  */
 
 /** A drag shorter than this is a click, CSS pixels. */
 const CLICK = 3;
 
-/** @type {Record<string, string>} */
-const CURSORS = {
-  "-1,-1": "nwse",
-  "1,1": "nwse",
-  "-1,1": "nesw",
-  "1,-1": "nesw",
-  "-1,0": "ew",
-  "1,0": "ew",
-  "0,-1": "ns",
-  "0,1": "ns",
-};
-
 /**
  * What lies under a pointer.
  *
- * @param {EditorInside} editor
+ * @param {Editor} editor
  * @param {Point} px
  * @param {string} pointerType
  * @param {boolean} [isForced] draws wherever the pointer is.
@@ -55,21 +43,16 @@ export function hitTest(editor, px, pointerType, isForced = false) {
   const reach = (REACH[pointerType] ?? REACH.mouse) / view.scale;
   /** @type {Hit} */
   const draw = { kind: editor.canDraw() ? "draw" : "nothing", index: -1 };
-  if (editor.isReadonly()) return { kind: "nothing", index: -1 };
+  if (editor.isReadonly) return { kind: "nothing", index: -1 };
   if (isForced) return draw;
   const current = boxes[selected];
   if (current) {
-    if (
-      options.onRotate &&
-      Math.hypot(px[0] - (current.x_min + current.x_max) / 2, px[1] - (current.y_min - ROTATE_ARM / view.scale)) <
-        1.8 * reach
-    )
-      return { kind: "rotate", index: selected };
-    if (sight) {
-      const middle = [(current.x_min + current.x_max) / 2, (current.y_min + current.y_max) / 2];
-      const { to } = sightArm(middle, widthOf(current), heightOf(current), sight, 1 / view.scale);
-      if (Math.hypot(px[0] - to[0], px[1] - to[1]) < 1.8 * reach) return { kind: "slide", index: selected };
-    }
+    const middle = [(current.x_min + current.x_max) / 2, (current.y_min + current.y_max) / 2];
+    const isAt = (/** @type {Point} */ [x, y]) => Math.hypot(px[0] - x, px[1] - y) < 1.8 * reach;
+    if (options.onPull && isAt([middle[0], current.y_min - ROTATE_ARM / view.scale]))
+      return { kind: "turn", index: selected };
+    const arm = sight && sightArm(middle, widthOf(current), heightOf(current), sight, 1 / view.scale);
+    if (arm && isAt(arm.to)) return { kind: "slide", index: selected };
     const near = edgeNear(current, px, reach);
     if (near) return { kind: "resize", index: selected, ...near };
     if (isInside(current, px)) return { kind: "move", index: selected };
@@ -81,9 +64,11 @@ export function hitTest(editor, px, pointerType, isForced = false) {
   return draw;
 }
 
-export function cursorOf(/** @type {Hit} */ hit) {
-  if (hit.kind === "resize") return `${CURSORS[`${hit.sideX},${hit.sideY}`]}-resize`;
-  return { move: "move", rotate: "grab", slide: "grab", draw: "crosshair", nothing: "default" }[hit.kind];
+export function cursorOf(/** @type {Hit} */ { kind, sideX = 0, sideY = 0 }) {
+  if (kind !== "resize")
+    return { move: "move", turn: "grab", slide: "grab", draw: "crosshair", nothing: "default" }[kind];
+  const across = sideX * sideY;
+  return `${across > 0 ? "nwse" : across < 0 ? "nesw" : sideX ? "ew" : "ns"}-resize`;
 }
 
 /** The box that a click selects: the smallest one around the point. */
@@ -107,50 +92,66 @@ function overlayAt(/** @type {Overlay[]} */ overlays, /** @type {Point} */ px) {
 
 /** Starts the gesture of a pointer at a point. @returns {Gesture} */
 export function beginGesture(
-  /** @type {EditorInside} */ editor,
+  /** @type {Editor} */ editor,
   /** @type {Hit} */ hit,
   /** @type {Point} */ px,
   /** @type {Point} */ windowPoint,
 ) {
-  /** @type {Record<Hit["kind"], (editor: EditorInside, hit: Hit, px: Point) => Drag>} */
+  /** @type {Record<Hit["kind"], (editor: Editor, hit: Hit, px: Point) => Drag>} */
   const makers = {
     draw: beginDraw,
     move: beginMove,
     resize: beginResize,
-    rotate: beginRotate,
+    turn: beginTurn,
     slide: beginSlide,
-    nothing: beginClick,
+    nothing: () => ({ move() {}, finish() {} }),
   };
-  const before = { boxes: editor.boxes.map((box) => ({ ...box })), selected: editor.selected };
-  const gesture = makers[hit.kind](editor, hit, px);
-  let isDrag = false;
-  const moves = (/** @type {Point} */ point) =>
-    (isDrag ||= Math.hypot(point[0] - windowPoint[0], point[1] - windowPoint[1]) >= CLICK);
-  return {
-    move(here, point) {
-      if (moves(point)) gesture.move(here);
-    },
-    finish(here, point) {
-      if (!moves(point)) {
-        editor.restore(before);
-        click(editor, px);
-        return;
-      }
-      gesture.move(here);
-      gesture.finish();
+  const { boxes, selected } = editor;
+  const restore = () => editor.show(boxes, selected);
+  const drag = makers[hit.kind](editor, hit, px);
+  return dragOrClick(windowPoint, {
+    ...drag,
+    click() {
+      restore();
+      click(editor, px);
     },
     cancel() {
-      editor.restore(before);
-      gesture.cancel?.();
+      restore();
+      drag.cancel?.();
     },
+  });
+}
+
+/**
+ * A gesture that is a drag once the pointer has moved a little, and else a click.
+ *
+ * @param {Point} start in the window.
+ * @param {Drag & { click: () => void, cancel: () => void }} drag
+ * @returns {Gesture}
+ */
+export function dragOrClick(start, { move, finish, click, cancel }) {
+  let isDrag = false;
+  const moves = (/** @type {Point} */ [x, y]) => (isDrag ||= Math.hypot(x - start[0], y - start[1]) >= CLICK);
+  return {
+    move(px, point) {
+      if (moves(point)) move(px, point);
+    },
+    finish(px, point) {
+      if (!moves(point)) return click();
+      move(px, point);
+      finish();
+    },
+    cancel,
   };
 }
 
-function click(/** @type {EditorInside} */ editor, /** @type {Point} */ px) {
+function click(/** @type {Editor} */ editor, /** @type {Point} */ px) {
   const index = boxAt(editor.boxes, px);
   if (index >= 0) {
     editor.select(index);
-    if (editor.boxes[index].suggested && !editor.isReadonly()) editor.accept(index);
+    if (!editor.boxes[index].suggested || editor.isReadonly) return;
+    editor.boxes = editor.boxes.with(index, { ...editor.boxes[index], suggested: false });
+    editor.commit("accept", index);
     return;
   }
   const overlay = overlayAt(editor.overlays, px);
@@ -159,12 +160,7 @@ function click(/** @type {EditorInside} */ editor, /** @type {Point} */ px) {
 }
 
 /** @returns {Drag} */
-function beginClick() {
-  return { move() {}, finish() {} };
-}
-
-/** @returns {Drag} */
-function beginDraw(/** @type {EditorInside} */ editor, /** @type {Hit} */ _hit, /** @type {Point} */ start) {
+function beginDraw(/** @type {Editor} */ editor, /** @type {Hit} */ _hit, /** @type {Point} */ start) {
   const a = clampPoint(start, editor.limits());
   const others = editor.options.single ? [] : editor.boxes.slice();
   const index = others.length;
@@ -173,74 +169,69 @@ function beginDraw(/** @type {EditorInside} */ editor, /** @type {Hit} */ _hit, 
   return {
     move(here) {
       const edges = edgesBetween(a, clampPoint(here, editor.limits()));
-      box = { ...editor.newBox(), ...edges };
-      editor.replace([...others, box], index);
+      box = { label: editor.options.newLabel?.() ?? "", ...edges };
+      editor.show([...others, box], index);
     },
     finish() {
       const least = Math.max(1, (editor.options.leastDraw ?? 0) / editor.view.scale);
-      if (box === null || widthOf(box) < least || heightOf(box) < least)
-        editor.restore({ boxes: others, selected: -1 });
+      if (box === null || widthOf(box) < least || heightOf(box) < least) editor.show(others, -1);
       else editor.commit("draw", index);
     },
   };
 }
 
 /** @returns {Drag} */
-function beginMove(/** @type {EditorInside} */ editor, /** @type {Hit} */ { index }, /** @type {Point} */ start) {
+function beginMove(/** @type {Editor} */ editor, /** @type {Hit} */ { index }, /** @type {Point} */ start) {
   const box = editor.boxes[index];
   return {
-    move: ([x, y]) =>
-      editor.put(index, { ...moved(box, x - start[0], y - start[1], editor.limits()), suggested: false }),
+    move: ([x, y]) => editor.put(index, moved(box, x - start[0], y - start[1], editor.limits())),
     finish: () => editor.commit("move", index),
   };
 }
 
 /** @returns {Drag} */
 function beginResize(
-  /** @type {EditorInside} */ editor,
+  /** @type {Editor} */ editor,
   /** @type {Hit} */ { index, sideX = 0, sideY = 0 },
   /** @type {Point} */ start,
 ) {
   const box = editor.boxes[index];
   editor.select(index);
   return {
-    move: ([x, y]) =>
-      editor.put(index, {
-        ...resized(box, sideX, sideY, x - start[0], y - start[1], editor.limits()),
-        suggested: false,
-      }),
+    move: ([x, y]) => editor.put(index, resized(box, sideX, sideY, x - start[0], y - start[1], editor.limits())),
     finish: () => editor.commit("resize", index),
   };
 }
 
 /** @returns {Drag} */
-function beginRotate(/** @type {EditorInside} */ editor, /** @type {Hit} */ { index }, /** @type {Point} */ start) {
+function beginTurn(/** @type {Editor} */ editor, /** @type {Hit} */ { index }, /** @type {Point} */ start) {
   const box = editor.boxes[index];
   const center = [(box.x_min + box.x_max) / 2, (box.y_min + box.y_max) / 2];
   const angleTo = (/** @type {Point} */ [x, y]) => Math.atan2(y - center[1], x - center[0]);
-  const first = angleTo(start);
-  let turnRad = 0;
-  return {
-    move(here) {
-      const raw = angleTo(here) - first;
-      turnRad = Math.atan2(Math.sin(raw), Math.cos(raw));
-      editor.turn(turnRad, false);
-    },
-    finish: () => editor.turn(turnRad, true),
-    cancel: () => editor.turn(0, false),
-  };
+  return pulls(editor, "turn", (here) => {
+    const raw = angleTo(here) - angleTo(start);
+    return Math.atan2(Math.sin(raw), Math.cos(raw));
+  });
 }
 
-/** Along the line of sight. @returns {Drag} */
-function beginSlide(/** @type {EditorInside} */ editor, /** @type {Hit} */ _hit, /** @type {Point} */ start) {
+function beginSlide(/** @type {Editor} */ editor, /** @type {Hit} */ _hit, /** @type {Point} */ start) {
   const [dx, dy] = editor.sight ?? [1, 0];
-  let metres = 0;
+  return pulls(editor, "slide", ([x, y]) => ((x - start[0]) * dx + (y - start[1]) * dy) / (dx * dx + dy * dy));
+}
+
+/** A drag of a handle, which turns or moves the box by an amount. @returns {Drag} */
+function pulls(
+  /** @type {Editor} */ editor,
+  /** @type {PullHandle} */ handle,
+  /** @type {(here: Point) => number} */ amount,
+) {
+  let by = 0;
   return {
-    move([x, y]) {
-      metres = ((x - start[0]) * dx + (y - start[1]) * dy) / (dx * dx + dy * dy);
-      editor.slide(metres, false);
+    move(here) {
+      by = amount(here);
+      editor.pull(handle, by, false);
     },
-    finish: () => editor.slide(metres, true),
-    cancel: () => editor.slide(0, false),
+    finish: () => editor.pull(handle, by, true),
+    cancel: () => editor.pull(handle, 0, false),
   };
 }

@@ -1,11 +1,11 @@
 /**
- * Pointer events of an editor: one pointer makes a gesture, the middle button or Space pans, two fingers pan and zoom.
+ * Pointer events of an editor, or of a map: one pointer makes a gesture, the middle button or Space pans, two fingers pan and zoom.
  */
 
-import { beginGesture, cursorOf, hitTest } from "./gestures.js";
+import { cursorOf } from "./gestures.js";
 
-export function listenToPointers(/** @type {EditorInside} */ editor) {
-  const { root, view } = editor;
+export function listenToPointers(/** @type {PointerHost} */ host) {
+  const { root, view, size } = host;
   /** @type {Map<number, Point>} */
   const touches = new Map();
   /** @type {Gesture | null} */
@@ -16,10 +16,10 @@ export function listenToPointers(/** @type {EditorInside} */ editor) {
   /** @type {Point} */
   let lastPoint = [0, 0];
 
-  /** The position of an event in the editor's own CSS pixels, even if an ancestor element is scaled. */
+  /** The position of an event in the element's own CSS pixels, even if an ancestor element is scaled. */
   function windowPoint(/** @type {MouseEvent} */ event) {
     const rect = root.getBoundingClientRect();
-    const stretch = rect.width / (editor.size.border || rect.width) || 1;
+    const stretch = rect.width / (size.border || rect.width) || 1;
     return [
       (event.clientX - rect.left) / stretch - root.clientLeft,
       (event.clientY - rect.top) / stretch - root.clientTop,
@@ -41,12 +41,10 @@ export function listenToPointers(/** @type {EditorInside} */ editor) {
     root.focus({ preventScroll: true });
     root.setPointerCapture(event.pointerId);
     owner = event.pointerId;
-    editor.flush();
+    host.flush?.();
     const px = view.toPicture(point);
-    gesture = isPan
-      ? beginPan(point)
-      : beginGesture(editor, hitTest(editor, px, event.pointerType, event.shiftKey), px, point);
-    editor.setCross(null);
+    gesture = isPan ? beginPan(point) : host.begin(host.hit(px, event), px, point);
+    host.setCross?.(null);
   }
 
   /** @returns {Gesture} */
@@ -58,7 +56,7 @@ export function listenToPointers(/** @type {EditorInside} */ editor) {
       move(_, point) {
         view.panBy(point[0] - last[0], point[1] - last[1]);
         last = point;
-        editor.redraw();
+        host.redraw();
       },
       finish: end,
       cancel: end,
@@ -79,7 +77,7 @@ export function listenToPointers(/** @type {EditorInside} */ editor) {
         view.panBy(after[0] - before[0], after[1] - before[1]);
         view.zoomAbout(after, factor);
         [a, b] = [c, d];
-        editor.redraw();
+        host.redraw();
       },
       finish() {},
       cancel() {},
@@ -98,10 +96,10 @@ export function listenToPointers(/** @type {EditorInside} */ editor) {
 
   function hover(/** @type {PointerEvent} */ event, /** @type {Point} */ point) {
     const px = view.toPicture(point);
-    const hit = hitTest(editor, px, event.pointerType, event.shiftKey);
+    const hit = host.hit(px, event);
     root.style.cursor = isSpaceDown ? "grab" : cursorOf(hit);
-    const isBare = hit.kind === "nothing" || isOnButton(event) || editor.options.isAsked?.() === false;
-    editor.setCross(isBare ? null : point, px);
+    const isBare = hit.kind === "nothing" || isOnButton(event) || host.isAsked?.() === false;
+    host.setCross?.(isBare ? null : point, px);
   }
 
   function onUp(/** @type {PointerEvent} */ event) {
@@ -109,19 +107,22 @@ export function listenToPointers(/** @type {EditorInside} */ editor) {
     if (!gesture || (owner !== event.pointerId && owner !== "pinch")) return;
     if (owner === "pinch" && touches.size > 0) return;
     const point = windowPoint(event);
-    const ended = gesture;
-    gesture = null;
-    owner = null;
-    ended.finish(view.toPicture(point), point);
+    end((ended) => ended.finish(view.toPicture(point), point));
   }
 
   function cancel() {
+    touches.clear();
+    return end((ended) => ended.cancel());
+  }
+
+  /** False if there is no gesture. */
+  function end(/** @type {(ended: Gesture) => void} */ how) {
     if (!gesture) return false;
     const ended = gesture;
     gesture = null;
     owner = null;
-    touches.clear();
-    ended.cancel();
+    how(ended);
+    host.onEnd?.();
     return true;
   }
 
@@ -138,7 +139,7 @@ export function listenToPointers(/** @type {EditorInside} */ editor) {
     const rough = windowPoint(event);
     const isThere = Math.hypot(rough[0] - lastPoint[0], rough[1] - lastPoint[1]) < 2;
     view.zoomAbout(isThere ? lastPoint : rough, factor);
-    editor.redraw();
+    host.redraw();
   }
 
   const onSpace = (/** @type {KeyboardEvent} */ event) => {
@@ -152,7 +153,7 @@ export function listenToPointers(/** @type {EditorInside} */ editor) {
   root.addEventListener("pointermove", onMove, { signal });
   root.addEventListener("pointerup", onUp, { signal });
   root.addEventListener("pointercancel", onCancel, { signal });
-  root.addEventListener("pointerleave", () => editor.setCross(null), { signal });
+  root.addEventListener("pointerleave", () => host.setCross?.(null), { signal });
   root.addEventListener("wheel", onWheel, { passive: false, signal });
   // the middle button would start the browser's own scrolling, and paste on some systems
   root.addEventListener("mousedown", (event) => event.button === 1 && event.preventDefault(), { signal });
@@ -162,6 +163,7 @@ export function listenToPointers(/** @type {EditorInside} */ editor) {
   window.addEventListener("keyup", onSpace, { signal });
   window.addEventListener("blur", cancel, { signal });
   return {
+    windowPoint,
     cancel,
     isBusy: () => gesture !== null,
     stop: () => own.abort(),

@@ -120,7 +120,7 @@ async function begin(/** @type {ModeApp} */ app, /** @type {HTMLElement} */ body
     const sum = (/** @type {(i: number) => boolean} */ isCounted) =>
       numbers.reduce((total, number, i) => total + (isCounted(i) ? number : 0), 0);
     counts.forEach((span, i) => {
-      span.textContent = count(numbers[i], "box", "boxes");
+      span.textContent = count(numbers[i], "box");
     });
     // formats with 2D boxes can be exported without 3D labels
     const isFlat = Boolean(formats.find(({ name }) => name === format.value)?.flat);
@@ -132,7 +132,7 @@ async function begin(/** @type {ModeApp} */ app, /** @type {HTMLElement} */ body
     const hasNone = chosen === 0 && !isFlat;
     note.textContent = hasNone
       ? "No boxes are in the chosen states."
-      : `${count(chosen, "box", "boxes")}. You can leave this page while the dataset is being made.`;
+      : `${count(chosen, "box")}. You can leave this page while the dataset is being made.`;
     start.disabled = hasNone || isActive(latestJob(app, "export"));
     const done = jobsOf(app, app.state.route.project, "export").find(({ state }) => state === "done");
     result.hidden = !done;

@@ -50,11 +50,7 @@ export function createClassChoice(app, { name, classes }, areAdded) {
       root.replaceChildren(
         h("legend.field-label", "Classes that the project does not have"),
         ...unknown.map((label) =>
-          h(
-            "label.row",
-            h("span.grow.ellipsis", `${label} (${count(boxes[label], "box", "boxes")})`),
-            choices.get(label),
-          ),
+          h("label.row", h("span.grow.ellipsis", `${label} (${count(boxes[label], "box")})`), choices.get(label)),
         ),
       );
     },

@@ -52,7 +52,7 @@ export function readTimeline(/** @type {App} */ app) {
     state.set({ timeline: null, span: null });
   });
   events.on("frame", ({ frame }) => state.timeline?.places.has(frame) && readSoon());
-  for (const type of /** @type {const} */ (["classes", "recordings", "renamed", "adjusted", "reconnected"]))
+  for (const type of /** @type {const} */ (["classes", "recordings", "renamed", "adjusted", "still", "reconnected"]))
     events.on(type, readSoon);
 }
 

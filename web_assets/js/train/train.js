@@ -1,5 +1,6 @@
 /** Train and propose: the training data, the running training, the models, and proposals. */
 
+import { newest } from "../api.js";
 import { count, h, nothing, patch } from "../dom.js";
 import { checkbox, field, numberField, numberOf, remembered, select } from "../forms.js";
 import { createJobForm, createJobLine, isActive, latestJob } from "../jobs.js";
@@ -12,10 +13,15 @@ import { createPropose } from "./propose.js";
 const MINUTES = 3;
 const LEARN_EVERY = 20;
 const SIZES_PX = { image: 192, view: 64 };
-/** @type {[Api.DetectorKind, string, string][]} */
+/** @type {[Api.DetectorKind, string, string, string | null][]} */
 const ROLES = [
-  ["image", "Image detector", "finds objects on the camera image"],
-  ["view", "View detector", "finds their edges on pseudo-views"],
+  ["image", "Image detector", "finds objects on the camera image", null],
+  [
+    "view",
+    "View detector",
+    "finds their edges on pseudo-views",
+    "Each 3D box gives several training pictures, from different directions.",
+  ],
 ];
 const NETWORKS = [
   ["", "yolo11n: small and fast (default)"],
@@ -33,7 +39,9 @@ export function mount(root, app, until) {
   const models = createModelList(modelsHost, app, load);
   const propose = createPropose(proposeHost, app);
   const { form, start } = createForm(app, show);
-  const learning = createLearning(app);
+  /** An answer from before a change of the learning is out of date. */
+  const begin = newest();
+  const learning = createLearning(app, begin);
   /** @type {Api.ModelList | null} */
   let known = null;
 
@@ -52,12 +60,11 @@ export function mount(root, app, until) {
   );
 
   async function load() {
-    const { changes } = learning;
+    const isNewest = begin();
     const answer = await app.api.get(app.path("models"));
     if (until.aborted) return;
     known = answer;
-    // an answer from before a change is out of date
-    if (changes === learning.changes) learning.show(answer);
+    if (isNewest()) learning.show(answer);
     show();
   }
 
@@ -85,7 +92,7 @@ export function mount(root, app, until) {
     const now = states();
     if (now !== last) {
       void load();
-      void app.refreshProject().then(() => !until.aborted && show());
+      void app.refreshProject();
     }
     last = now;
   }
@@ -102,23 +109,25 @@ export function mount(root, app, until) {
 const minutesField = (/** @type {string} */ label, /** @type {string} */ testid) =>
   numberField(testid, label, { min: 0.5, max: 1440, step: 0.5, value: MINUTES });
 
-/** The switch "Learn while I label". */
-function createLearning(/** @type {ModeApp} */ app) {
-  const box = checkbox("learn-switch");
+/** The switch "Learn while I label"; `begin` is called with each change. */
+function createLearning(/** @type {ModeApp} */ app, /** @type {() => unknown} */ begin) {
   const limits = { min: 1, max: 1000000, value: LEARN_EVERY };
+  const box = checkbox("learn-switch");
   const every = numberField("learn-every", "Reviewed boxes between two rounds", limits);
   const minutes = minutesField("Minutes of a round", "learn-minutes");
   let stored = "";
-  let changes = 0;
 
   async function store() {
-    changes += 1;
-    const everyNow = box.checked ? every.valueAsNumber || LEARN_EVERY : null;
-    const minutesNow = minutes.valueAsNumber || MINUTES;
-    await app.api.put(app.path("models", "learning"), { every: everyNow, minutes: minutesNow });
-    show({ learn_every: everyNow, learn_minutes: minutesNow });
+    begin();
+    const body = {
+      every: box.checked ? every.valueAsNumber || LEARN_EVERY : null,
+      minutes: minutes.valueAsNumber || MINUTES,
+    };
+    await app.api.put(app.path("models", "learning"), body);
+    show({ learn_every: body.every, learn_minutes: body.minutes });
   }
 
+  /** What is typed stays until something else is stored. */
   function show(/** @type {Pick<Api.ModelList, "learn_every" | "learn_minutes">} */ { learn_every, learn_minutes }) {
     const now = `${learn_every} ${learn_minutes}`;
     if (now === stored) return;
@@ -145,14 +154,7 @@ function createLearning(/** @type {ModeApp} */ app) {
       "stops for other jobs. A detector that is better on held-out frames is used at once.",
     ),
   );
-  return {
-    root,
-    /** How often the operator has changed the switch. */
-    get changes() {
-      return changes;
-    },
-    show,
-  };
+  return { root, show };
 }
 
 function createForm(/** @type {ModeApp} */ app, /** @type {() => unknown} */ show) {
@@ -166,7 +168,7 @@ function createForm(/** @type {ModeApp} */ app, /** @type {() => unknown} */ sho
   });
   const minutes = remembered(app, "train", "minutes", minutesField("Minutes of the training", "train-minutes"));
   const model = remembered(app, "train", "model", select(NETWORKS, { "data-testid": "train-model" }));
-  const { form, start } = createJobForm(app, {
+  const made = createJobForm(app, {
     name: "train",
     label: "Train",
     content: (start) => [
@@ -212,33 +214,28 @@ function createForm(/** @type {ModeApp} */ app, /** @type {() => unknown} */ sho
     show,
   });
   // until it is known that there is something to learn
-  form.hidden = true;
-  return { form, start };
+  made.form.hidden = true;
+  return made;
 }
 
 function materialCard(
-  /** @type {(typeof ROLES)[number]} */ [role, label, what],
+  /** @type {(typeof ROLES)[number]} */ [role, label, what, help],
   /** @type {Api.ModelList} */ { models, material },
 ) {
   const active = models.find((model) => model.role === role && model.active);
-  const learned = active ? (active.boxes === null ? "unknown" : count(active.boxes, "box", "boxes")) : "nothing yet";
+  const learned = active ? (active.boxes === null ? "unknown" : count(active.boxes, "box")) : "nothing yet";
+  const available = `${count(material[role], "drawn box")} and ${count(material.labels, "reviewed 3D box")}`;
+  const figures = [
+    ["trained on", learned],
+    ["available now", available],
+  ].map(([name, value]) => [h("dt", name), h("dd.number", value)]);
   return h(
     "div.card",
     { "data-testid": `material-${role}` },
     h("h3", label),
     h("p.muted", what),
-    h(
-      "dl.figures",
-      h("dt", "trained on"),
-      h("dd.number", learned),
-      h("dt", "available now"),
-      h(
-        "dd.number",
-        `${count(material[role], "drawn box", "drawn boxes")} and `,
-        count(material.labels, "reviewed 3D box", "reviewed 3D boxes"),
-      ),
-    ),
-    role === "view" ? h("p.help", "Each 3D box gives several training pictures, from different directions.") : null,
+    h("dl.figures", figures.flat()),
+    help && h("p.help", help),
   );
 }
 
