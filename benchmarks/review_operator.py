@@ -223,7 +223,7 @@ class Operator:
         labels = self.desk.open_labels(frame)
         done = [label for label in self.desk.labels(frame) if label.state in REVIEWED]
         has = {id(thing) for thing in things if any(self.desk.is_right(label, thing) for label in done)}
-        meant = _meant(labels, [thing for thing in things if id(thing) not in has])
+        meant = meant_for(labels, [thing for thing in things if id(thing) not in has])
         together = self._seen_together(frame, labels, meant)
         has |= {id(meant[label.uid]) for label in together}
         selected = 0
@@ -448,7 +448,7 @@ class Operator:
         return NewLabel(thing.label, box, origin=Origin.DRAWN)
 
 
-def _meant(labels: Sequence[Label], things: Sequence[Thing]) -> dict[str, Thing]:
+def meant_for(labels: Sequence[Label], things: Sequence[Thing]) -> dict[str, Thing]:
     """Which object each label is meant for, by uid: the nearest; an object has one label at most."""
     if not labels or not things:
         return {}

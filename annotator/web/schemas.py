@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from annotator.project import Effort as StoredEffort
 from annotator.project import WriteContext
 from annotator.project.classes.attributes import Value
+from annotator.project.records import ViewGeometry
 from annotator.types import Box2D, BoxKind, OrientedBox, Quality, ReviewState, Source, Suggestion
 from annotator.types.bases import Strict, TrackId
 
@@ -99,6 +100,20 @@ class Box3DJson(Schema):
         center, size = tuple(source.pose[:3, 3].tolist()), tuple(source.size_m.tolist())
         rotation = tuple(map(tuple, source.pose[:3, :3].tolist()))
         return super().of(source, center=center, size=size, rotation=rotation, **more)
+
+
+class PlaneJson(Schema):
+    """The plane of a pseudo-view, as in `ViewJson`."""
+
+    axes: Axes
+    metres_per_px: Length
+    origin_m: tuple[Metres, Metres]
+
+    def geometry(self) -> ViewGeometry:
+        return ViewGeometry.model_validate(self.model_dump())
+
+
+Planes = Annotated[tuple[PlaneJson | None, ...], Field(max_length=4)]
 
 
 class Effort(Schema):

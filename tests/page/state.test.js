@@ -4,6 +4,7 @@ import assert from "node:assert/strict";
 import { beforeEach, mock, test } from "node:test";
 import { ApiError } from "../../web_assets/js/errors.js";
 import { createFrameState } from "../../web_assets/js/frame_state.js";
+import { readAreas } from "../../web_assets/js/annotate/areas.js";
 import { createCommands } from "../../web_assets/js/annotate/commands.js";
 import { createDesk } from "../../web_assets/js/annotate/desk.js";
 import { createOpening } from "../../web_assets/js/annotate/opening.js";
@@ -438,6 +439,18 @@ test("what is heard of a job is newer than answers about it", async () => {
       ["0", "failed"],
     ],
   );
+});
+
+test("places that the browser has kept badly are as if they were not set", () => {
+  for (const [kept, read] of [
+    ['{"main":"object","lists":"20.5%"}', { main: "object", lists: "20.5%" }],
+    ['{"main":"attic","lists":"wide"}', {}],
+    ["{", {}],
+    ["null", {}],
+  ]) {
+    freshStorage({ areas: kept });
+    assert.deepEqual(readAreas(), read);
+  }
 });
 
 test("copies with few points are counted", () => {

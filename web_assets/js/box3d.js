@@ -23,32 +23,17 @@ const ARROW_BEYOND = 0.2;
 const JUMP_DEG = 120;
 const DEGREES = 180 / Math.PI;
 
-// the same order as the server: --- +-- ++- -+- --+ +-+ +++ -++
-const SIGNS = [
-  [-1, -1, -1],
-  [1, -1, -1],
-  [1, 1, -1],
-  [-1, 1, -1],
-  [-1, -1, 1],
-  [1, -1, 1],
-  [1, 1, 1],
-  [-1, 1, 1],
-];
+// the same order as the server
+const SIGNS = ["---", "+--", "++-", "-+-", "--+", "+-+", "+++", "-++"].map((signs) =>
+  [...signs].map((sign) => (sign === "+" ? 1 : -1)),
+);
 
+const RING = [0, 1, 2, 3];
 /** The 12 edges by the numbers of their corners: bottom, top, uprights. */
 export const EDGES = [
-  [0, 1],
-  [1, 2],
-  [2, 3],
-  [3, 0],
-  [4, 5],
-  [5, 6],
-  [6, 7],
-  [7, 4],
-  [0, 4],
-  [1, 5],
-  [2, 6],
-  [3, 7],
+  ...RING.map((i) => [i, (i + 1) % 4]),
+  ...RING.map((i) => [4 + i, 4 + ((i + 1) % 4)]),
+  ...RING.map((i) => [i, 4 + i]),
 ];
 
 /** A copy that shares nothing with the box. */

@@ -44,7 +44,7 @@ export const ticked = (/** @type {HTMLInputElement[]} */ boxes) =>
   boxes.filter((box) => box.checked).map((box) => box.value);
 
 /** Choices of a form that belong together, with a name above them. */
-export const group = (/** @type {string} */ legend, /** @type {(Child | Child[])[]} */ ...rows) =>
+export const group = (/** @type {string} */ legend, /** @type {Children[]} */ ...rows) =>
   h("fieldset.plain", h("legend.field-label", legend), ...rows);
 
 /** A number field; null while it is empty. */

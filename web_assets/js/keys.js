@@ -11,15 +11,6 @@
 
 import { leaveField } from "./dom.js";
 
-/**
- * @typedef {object} KeyRow
- * @property {string} id
- * @property {string[]} keys
- * @property {string[]} [shown] what the table shows in place of `keys`.
- * @property {string} label
- * @property {string} group
- */
-
 /** The group whose keys work in all modes; the others are those of Annotate. */
 const EVERYWHERE = "Everywhere";
 /** What happens again and again while its key is held down. */
@@ -97,7 +88,7 @@ export const KEYS = [
     ["points-smaller", ["-"], "Smaller points"],
     ["look-box", ["O"], "3D view: look at the selected box, and turn around it (or double-click it)"],
     ["hide-ground", ["H"], "3D view: hide the ground"],
-    ["unlabelled", ["U"], "3D view: highlight what nobody labelled"],
+    ["unlabelled", ["U"], "Highlight what nobody labelled; again: box the next of it"],
     ["fit", ["0", "Home"], "Fit the pictures to their panels"],
   ]),
   ...rows("2D boxes", [

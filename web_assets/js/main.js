@@ -288,16 +288,14 @@ function showProblem(/** @type {unknown} */ error, /** @type {Route} */ route) {
   if (isMissing) void app.events.follow(null);
   const title = isMissing ? `There is no project '${route.project}'` : "This page could not be opened";
   work.replaceChildren(
-    h(
-      "div.page",
+    h("div.page", [
       h("h1", title),
       errorBox(error, "page-problem"),
-      h(
-        "div.row",
+      h("div.row", [
         button("Try again", () => follow(), { class: "primary" }),
         h("a.button", { href: "#/" }, "All projects"),
-      ),
-    ),
+      ]),
+    ]),
   );
 }
 

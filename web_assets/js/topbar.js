@@ -54,19 +54,15 @@ function tabs(/** @type {App} */ app) {
 }
 
 function history(/** @type {App} */ app) {
-  const undo = iconButton("undo", "", () => app.undo(), { "data-testid": "undo" });
-  const redo = iconButton("redo", "", () => app.redo(), { "data-testid": "redo" });
-  const box = h("div.row", { role: "group", "aria-label": "History" }, undo, redo);
+  const box = h("div.row", { role: "group", "aria-label": "History" });
   const show = () => {
     box.hidden = app.state.route.project === null;
     const known = app.state.frame?.history;
-    for (const [step, verb, key, what] of /** @type {const} */ ([
-      [undo, "Undo", "Ctrl+Z", known?.undo],
-      [redo, "Redo", "Ctrl+Shift+Z", known?.redo],
-    ])) {
-      entitle(step, `${verb}${what ? `: ${what}` : ""} (${key})`);
-      step.disabled = known !== undefined && !what;
-    }
+    const step = (/** @type {"undo" | "redo"} */ id, /** @type {string} */ verb, /** @type {string} */ key) => {
+      const label = `${verb}${known?.[id] ? `: ${known[id]}` : ""} (${key})`;
+      return iconButton(id, label, () => app[id](), { disabled: known && !known[id], "data-testid": id });
+    };
+    patch(box, step("undo", "Undo", "Ctrl+Z"), step("redo", "Redo", "Ctrl+Shift+Z"));
   };
   app.state.on("route", show);
   app.state.on("frame", show);

@@ -58,6 +58,7 @@ OBJECTS = ("labels", "stills")
 # Event kind -> verb for the page; the first kind that occurs in an action names the action.
 VERBS = (
     ("still_made", "make still"),
+    ("stills_proposed", "propose"),
     ("still_ended", "make moving"),
     ("label_proposed", "propose"),
     ("label_created", "draw"),

@@ -31,6 +31,7 @@ from annotator.types.messages import alternatives
 
 # What the label of a still object has of it.
 STILL_COLUMNS = {"class_id", "state", "source", "box_kind", "values_set", "author", "time_ns", "box", "attributes"}
+STILL_COLUMNS |= {"score", "expected_iou_loss"}
 # Frames with boxes of a class, hidden ones included.
 _OF_CLASS = (
     "SELECT frame_id FROM labels WHERE class_id = :id OR instr(ifnull(said, '') || ifnull(image_box, ''), :named) "

@@ -410,7 +410,7 @@ PAGE = """async ([project, left, top, width, height]) => {
   app.keys.listen(window);
   window.pressed = [];
   app.keys.register({ accept: () => pressed.push("Space"), "next-box": () => pressed.push("Tab"),
-    nudge: (event, key) => pressed.push(key), undo: () => pressed.push("Ctrl+Z") });
+    nudge: (key) => pressed.push(key), undo: () => pressed.push("Ctrl+Z") });
   const host = document.createElement("div");
   host.style.cssText = `position: fixed; left: ${left}px; top: ${top}px; width: ${width}px; height: ${height}px`;
   window.view = viewport.createViewport(app);

@@ -84,14 +84,13 @@ export function createPicture(/** @type {{ onMissing: (url: string) => unknown }
   const resizing = new ResizeObserver(resize);
   resizing.observe(host);
 
-  const header = h(
-    "header",
+  const header = h("header", [
     h("h1.ellipsis", "Cloud over image"),
     h("span.grow"),
     h("label.row", points, "points"),
     h("label.row", { title: "Size of the points" }, thickness),
     h("label.row", level, "level"),
-  );
+  ]);
   const help = "Near points are red, far ones blue. The wheel zooms; drag to move the picture.";
   return {
     root: h("section.panel", header, host, h("footer.help", help)),

@@ -9,13 +9,13 @@
  */
 
 import { createAttributes } from "../attributes.js";
+import { createNextClass } from "../classes/picker.js";
 import { button, h } from "../dom.js";
 import { createFrameProblem } from "../frame_problem.js";
 import { showHints } from "../messages.js";
 import { addRecordings } from "../start/recordings.js";
 import { createActions } from "./actions.js";
 import { createAreas } from "./areas.js";
-import { createNextClass } from "./class_picker.js";
 import { createCommands } from "./commands.js";
 import { createDesk } from "./desk.js";
 import { createFields } from "./fields.js";
@@ -90,12 +90,15 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   });
   /** The labels before an undo. @type {{ frame: number, labels: Map<string, string> } | null} */
   let seen = null;
+  let drawing = 0;
 
   // -- showing
 
+  /** Its rows come after the pictures, and once for all that changes until then: they take longer than all else. */
   function showQueue() {
     actions.show();
-    queueList.show(desk.uid);
+    cancelAnimationFrame(drawing);
+    drawing = requestAnimationFrame(() => setTimeout(() => queueList.show(desk.uid)));
   }
 
   function showBusy() {

@@ -5,44 +5,45 @@ import { button, count, h, leaveField, patch } from "../dom.js";
 import { jumpText } from "../heading_mark.js";
 import { OWN } from "./queue.js";
 
-/** A number of a box's centre or size, metres. */
-const metres = (/** @type {"center" | "size"} */ key, /** @type {number} */ i, least = -Infinity) => ({
-  ...{ unit: "m", step: 0.01, digits: 3 },
-  get: (/** @type {Box3D} */ box) => box[key][i],
-  set: (/** @type {Box3D} */ box, /** @type {number} */ value) => ({
-    ...box,
-    [key]: box[key].with(i, Math.max(value, least)),
-  }),
-});
-/** An angle of a box. */
-const degrees = (/** @type {keyof Angles} */ name) => ({
-  ...{ unit: "°", step: 1, digits: 1 },
-  get: (/** @type {Box3D} */ box, /** @type {Vector | null} */ up) => anglesDeg(box, up)[name],
-  set: (/** @type {Box3D} */ box, /** @type {number} */ value, /** @type {Vector | null} */ up) =>
-    withAnglesDeg(box, up, { ...anglesDeg(box, up), [name]: value }),
-});
-/**
- * The numbers of a box, in groups: test id, name, help, and how it is read and written.
- *
- * @type {Record<string, [string, string, string, ReturnType<typeof metres> | ReturnType<typeof degrees>][]>}
- */
-const NUMBERS = {
-  Centre: [
-    ["center-x", "x", "to the right of the camera", metres("center", 0)],
-    ["center-y", "y", "below the camera", metres("center", 1)],
-    ["center-z", "z", "in front of the camera", metres("center", 2)],
-  ],
-  Size: [
-    ["size-length", "length", "along the heading", metres("size", 0, MIN_SIZE_M)],
-    ["size-width", "width", "across the heading", metres("size", 1, MIN_SIZE_M)],
-    ["size-height", "height", "along the box's z axis", metres("size", 2, MIN_SIZE_M)],
-  ],
-  Rotation: [
-    ["yaw", "yaw", "about the scene's up direction; 0° points away from the camera", degrees("yaw")],
-    ["pitch", "pitch", "a positive angle lowers the front", degrees("pitch")],
-    ["roll", "roll", "about the heading", degrees("roll")],
-  ],
-};
+const METRES = { unit: "m", step: 0.01, digits: 3 };
+/** The numbers of a box, in groups: their fields' test ids begin with `id`; each number with its help. */
+const NUMBERS = [
+  {
+    ...{ group: "Centre", id: "center-", ...METRES },
+    help: { x: "to the right of the camera", y: "below the camera", z: "in front of the camera" },
+  },
+  {
+    ...{ group: "Size", id: "size-", ...METRES },
+    help: { length: "along the heading", width: "across the heading", height: "along the box's z axis" },
+  },
+  {
+    ...{ group: "Rotation", id: "", unit: "°", step: 1, digits: 1 },
+    help: {
+      yaw: "about the scene's up direction; 0° points away from the camera",
+      pitch: "a positive angle lowers the front",
+      roll: "about the heading",
+    },
+  },
+];
+
+/** The numbers of a box by their names, degrees and metres. @returns {Record<string, number>} */
+function numbersOf(/** @type {Box3D} */ box, /** @type {Vector | null} */ up) {
+  const [[x, y, z], [length, width, height]] = [box.center, box.size];
+  return { x, y, z, length, width, height, ...anglesDeg(box, up) };
+}
+
+/** The box with another number. @returns {Box3D} */
+function withNumber(
+  /** @type {Box3D} */ box,
+  /** @type {Vector | null} */ up,
+  /** @type {string} */ name,
+  /** @type {number} */ value,
+) {
+  const { x, y, z, length, width, height, yaw, pitch, roll } = Object.assign(numbersOf(box, up), { [name]: value });
+  if (["yaw", "pitch", "roll"].includes(name)) return withAnglesDeg(box, up, { yaw, pitch, roll });
+  const size = [length, width, height].map((side) => Math.max(side, MIN_SIZE_M));
+  return { ...copyBox(box), center: [x, y, z], size };
+}
 
 export function createFields(/** @type {Annotate} */ at) {
   const { app, desk } = at;
@@ -65,21 +66,21 @@ export function createFields(/** @type {Annotate} */ at) {
   const nothing = h("div.empty", advice);
   at.parts.fields.replaceChildren(h("header", title, h("span.grow"), chip), problem, form, nothing);
 
-  /** @param {typeof NUMBERS[string][number]} one */
-  function number([id, name, help, { unit, step, set }]) {
+  /** @param {typeof NUMBERS[number]} group */
+  function numberField({ id, unit, step }, /** @type {string} */ name, /** @type {string} */ help) {
     /** @type {HTMLInputElement} */
     const input = h("input", {
       type: "number",
       step,
       "aria-label": `${name} in ${unit}`,
       title: `${name}: ${help}`,
-      "data-testid": `field-${id}`,
+      "data-testid": `field-${id}${name}`,
       // a click selects the old number, so that typing replaces it
       onfocus: () => input.select(),
       oninput: () => {
         typed = input;
         if (desk.shown && Number.isFinite(input.valueAsNumber))
-          desk.preview({ box: set(copyBox(desk.shown.box), input.valueAsNumber, up()) });
+          desk.preview({ box: withNumber(desk.shown.box, up(), name, input.valueAsNumber) });
       },
       onchange: () => leave(input),
       onkeydown: (event) => {
@@ -88,9 +89,9 @@ export function createFields(/** @type {Annotate} */ at) {
         abandon();
       },
     });
-    inputs[id] = input;
-    names[id] = h("span", name);
-    return h("label.number-field", names[id], input, h("span.unit", unit));
+    inputs[name] = input;
+    names[name] = h("span", name);
+    return h("label.number-field", names[name], input, h("span.unit", unit));
   }
 
   // Typing changes the box on the screen; leaving the field or pressing Enter saves that as one edit.
@@ -146,7 +147,10 @@ export function createFields(/** @type {Annotate} */ at) {
       h("label.number-field", h("span", "Class"), choice),
       h("label.number-field", h("span", "Track"), track),
     ),
-    ...Object.entries(NUMBERS).map(([name, all]) => h("fieldset", h("legend", name), all.map(number))),
+    ...NUMBERS.map((each) => {
+      const all = Object.entries(each.help).map(([name, help]) => numberField(each, name, help));
+      return h("fieldset", h("legend", each.group), all);
+    }),
   ];
   form.append(...ofBox, attributes, facts);
   ofBox.push(facts);
@@ -204,7 +208,8 @@ export function createFields(/** @type {Annotate} */ at) {
     const state = desk.hasDraft ? "not saved" : label.isNew ? "new" : label.state;
     chip.textContent = state;
     chip.className = `chip state-${label.state}`;
-    for (const [id, , , { get, digits }] of Object.values(NUMBERS).flat()) put(id, get(label.box, up()), digits);
+    const numbers = numbersOf(label.box, up());
+    for (const { help, digits } of NUMBERS) for (const name of Object.keys(help)) put(name, numbers[name], digits);
     const jump = jumpText(label);
     names.yaw.textContent = jump || "yaw";
     names.yaw.className = jump ? "bad" : "";

@@ -65,7 +65,7 @@ export function createImagePanel(/** @type {Annotate} */ at) {
     },
     onChange(boxes, why, index, actions) {
       if (why === "draw" || (isDashed(index) && !at.teach.isOn)) void fit(boxes[index]);
-      else at.teach.changeImageBox(items[index], boxes[index], why, actions);
+      else at.teach.changeImageBox(items[index], boxes[index], actions);
     },
   });
   /** The objects of the boxes that are shown. @type {Item[]} */

@@ -11,7 +11,7 @@ import { button, h, s } from "../dom.js";
 import { hull, isInHull } from "../editor2d/geometry.js";
 import { dragOrClick } from "../editor2d/gestures.js";
 import { listenToPointers } from "../editor2d/pointers.js";
-import { add, cross, dot, length, scale, subtract } from "../rotation.js";
+import { add, scale, sceneAxes, transpose } from "../rotation.js";
 import { shortName } from "./drawing.js";
 
 /** Whether it is shown in place of the 3D view. */
@@ -27,16 +27,10 @@ const REACH_PX = 10;
 const LIMITS_M_PER_PX = [0.002, 2];
 /** Metres in front of the sensor that are shown first, at most, and if there are no points. */
 const FURTHEST_M = 60;
-/** A direction is steep if it is nearer to the vertical than this cosine. */
-const STEEP = 0.9;
-
 /** The axes of the map: right, down on the screen, and into it, that is with gravity. */
-export function mapAxes(/** @type {Vector | null} */ up) {
-  const against = up ?? [0, -1, 0];
-  const ahead = Math.abs(against[2]) < STEEP ? [0, 0, 1] : [0, -1, 0];
-  const level = subtract(ahead, scale(against, dot(ahead, against)));
-  const forward = scale(level, 1 / length(level));
-  return [cross(forward, against), scale(forward, -1), scale(against, -1)];
+function mapAxes(/** @type {Vector | null} */ up) {
+  const [forward, left, above] = transpose(sceneAxes(up));
+  return [left, forward, above].map((axis) => scale(axis, -1));
 }
 
 export function createMap(/** @type {Annotate} */ at) {

@@ -76,16 +76,10 @@ export function createQueueList(/** @type {Annotate} */ at) {
 
   /** Offers the sources of the proposals, once there are any but annotator itself. */
   function showSources() {
-    const chosen = source.value;
-    const names = Object.keys(queue.sources);
-    if (chosen && !names.includes(chosen)) names.push(chosen);
-    patch(
-      source,
-      h("option", { value: "" }, "All sources"),
-      ...names.map((name) => h("option", { value: name }, `${name} (${queue.sources[name] ?? 0})`)),
-    );
-    source.value = chosen;
-    source.hidden = names.every((name) => name === OWN);
+    const names = new Set([...Object.keys(queue.sources), ...(source.value ? [source.value] : [])]);
+    const textOf = (/** @type {string} */ name) => `${name} (${queue.sources[name] ?? 0})`;
+    refill(source, "All sources", new Map([...names].map((name) => [name, textOf(name)])));
+    source.hidden = [...names].every((name) => name === OWN);
   }
 
   /** Shown in place of the items if there are none. */

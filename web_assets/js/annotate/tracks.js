@@ -8,6 +8,7 @@ import { openDialog } from "../dialogs.js";
 import { trackColor } from "../colors.js";
 import { button, count, h } from "../dom.js";
 import { messageOf } from "../errors.js";
+import { checkbox, field, select } from "../forms.js";
 import { currentFrame } from "../frame_state.js";
 
 /** A copy with fewer points inside stands on nothing. */
@@ -236,12 +237,10 @@ function fieldOf(
   /** @type {string[]} */ classes,
   /** @type {string} */ digit,
 ) {
-  const named = (/** @type {string} */ text, /** @type {HTMLElement} */ input) =>
-    h("label.field", h("span", text), input);
   if (id === "merge") {
     const input = h("input", { type: "number", min: 0, step: 1, autofocus: true, "data-testid": "track-other" });
     return {
-      root: named("Number of the other track", input),
+      root: field("Number of the other track", input),
       // without a number, the server names the likeliest one
       value: () => (input.value ? { number: input.valueAsNumber } : {}),
       take({ number }) {
@@ -252,13 +251,13 @@ function fieldOf(
     };
   }
   if (id === "class") {
-    const options = classes.map((name) => h("option", { value: name }, name));
-    const select = h("select", { "data-testid": "track-class-name" }, options);
-    select.value = classes[Number(digit) - 1] ?? label.label;
-    return { root: named("Class", select), value: () => ({ label: select.value }) };
+    const names = classes.map((name) => [name]);
+    const chosen = classes[Number(digit) - 1] ?? label.label;
+    const name = select(names, { "data-testid": "track-class-name" }, chosen);
+    return { root: field("Class", name), value: () => ({ label: name.value }) };
   }
   if (id !== "fill") return null;
-  const box = h("input", { type: "checkbox", "data-testid": "track-refit" });
+  const box = checkbox("track-refit");
   const root = h("label", box, " Fit each box to the points of its frame");
   return { root, value: () => ({ refit: box.checked }) };
 }

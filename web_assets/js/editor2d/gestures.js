@@ -20,12 +20,6 @@ import { ROTATE_ARM, sightArm } from "./draw.js";
 
 /** @type {Record<string, number>} */
 const REACH = { mouse: 6, pen: 8, touch: 16 };
-/**
- * The actions of a drag; `cancel` only if it must restore something other than the boxes.
- *
- * @typedef {{ move: (px: Point, point: Point) => void, finish: () => void, cancel?: () => void }} Drag
- */
-
 /** A drag shorter than this is a click, CSS pixels. */
 const CLICK = 3;
 

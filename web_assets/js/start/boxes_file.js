@@ -62,16 +62,14 @@ export async function importBoxes(app, name) {
   const minScore = h("input", { type: "number", step: "any", "data-testid": "boxes-min-score" });
   const scoreHelp = h("span");
   const how = measure === null ? ": this needs a view detector, train one first" : `, measured by: ${measure}`;
-  const of2d = h(
-    "div.stack",
+  const of2d = h("div.stack", [
     field("The boxes enclose", kind),
     h("label.row", lift, `Propose 3D boxes from them${how}`),
-  );
-  const ofProposals = h(
-    "div.stack",
+  ]);
+  const ofProposals = h("div.stack", [
     field("Source", source, "Whose boxes they are. They replace what this source has proposed before."),
     field("Lowest score", minScore, scoreHelp),
-  );
+  ]);
   const of3d = h("div.stack", field("The boxes become", become), ofProposals);
   const addAttributes = checkbox("boxes-add-attributes");
   const ofAttributes = h(
