@@ -231,7 +231,8 @@ class LabelJson(LabelValues):
 class FrameJson(Schema):
     """A frame: its recording, key, index, neighbours, revision, and values of its own attributes.
 
-    `cameras`: the frames of its moment, its own included, by the ids of their recordings.
+    `cameras`: the frames of its moment, its own included, by the ids of their recordings. `T_camera_cloud`: if there
+    are several, from the frame of their cloud to that of this camera (4 x 4); null: they are the same.
     """
 
     id: int
@@ -244,6 +245,7 @@ class FrameJson(Schema):
     previous: int | None
     next: int | None
     cameras: dict[int, int]
+    T_camera_cloud: list[list[float]] | None
     attributes: dict[str, Value]
 
 

@@ -203,8 +203,8 @@ interface App {
   refreshProject(): Promise<void>;
   /** Reads a frame into state.frame, and reports to the other pages that it is open here. */
   loadFrame(id: number, bestFor?: string | null): Promise<FrameState>;
-  /** Saves everything. False if something cannot be saved and the operator stays with it. */
-  mayLeave(): Promise<boolean>;
+  /** Saves everything that a frame does not keep. False if something cannot be saved and the operator stays with it. */
+  mayLeave(to?: number | null): Promise<boolean>;
   /** Sets the address back to the frame that is shown. */
   stay(frame: number): void;
   undo(): Promise<void>;
@@ -227,7 +227,8 @@ interface Mounted {
   route?(route: Route): void;
   /** Resolves when all changes that are being saved are saved, or have failed. */
   flush?(): Promise<unknown>;
-  unsaved?(): Unsaved | null;
+  /** `to`: the frame that is opened next; null: none. */
+  unsaved?(to: number | null): Unsaved | null;
 }
 
 type ErrorBody = {
@@ -565,6 +566,8 @@ type NewLabel = {
   label: PageLabel;
   /** The box on the image in which it was found; null: it was placed in the top view. */
   image_box: (Rect & { label: string }) | null;
+  /** The frame on whose image that is. */
+  frame: number | null;
   /** The box that the detector found. */
   found: Box3D;
   actions: number;

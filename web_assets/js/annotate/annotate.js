@@ -205,14 +205,16 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     if (changed) desk.select(changed.uid);
   }
 
+  /** Whether a frame is of the open moment: its boxes are the same in all cameras, also those that are not stored. */
+  const isOfMoment = (/** @type {number | null} */ frame) =>
+    Object.values(app.state.frame?.frame.cameras ?? {}).includes(frame ?? -1);
+
   actions.show();
   void opening.begin();
 
   return {
     route(/** @type {Route} */ { frame, query }) {
-      // the boxes of a moment are the same in all its cameras
-      const isSameMoment = Object.values(app.state.frame?.frame.cameras ?? {}).includes(frame ?? -1);
-      const [uid, track] = [query.get("uid") ?? (isSameMoment ? desk.uid : null), trackIn(query)];
+      const [uid, track] = [query.get("uid") ?? (isOfMoment(frame) ? desk.uid : null), trackIn(query)];
       if (frame === null) void opening.begin();
       else if (frame !== opening.opened && frame !== opening.broken)
         void opening.open(frame, uid, track).then((isOpen) => {
@@ -221,8 +223,8 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       else if (uid) desk.select(uid);
       else if (track !== null) opening.pick(null, track);
     },
-    unsaved() {
-      const all = [teach.unsaved, desk.unsaved].filter((one) => one !== null);
+    unsaved(/** @type {number | null} */ to) {
+      const all = [teach.unsaved, isOfMoment(to) ? null : desk.unsaved].filter((one) => one !== null);
       if (all.length === 0) return null;
       return {
         text: all.map(({ text }) => text).join(" "),

@@ -201,11 +201,10 @@ export function createBoxList(/** @type {Annotate} */ at) {
     const labels = desk.labels();
     // once there, their places stay until another frame is shown
     const frame = app.state.frame?.frame.id ?? null;
-    if (labels.filter((label) => isOpen(label) && !label.isNew).length > 1) pictured = frame;
-    const hasPictures = pictured === frame;
+    if (labels.filter((label) => isPictured(label) && isOpen(label) && !label.isNew).length > 1) pictured = frame;
     patch(
       list,
-      labels.map((label) => boxRow(label, hasPictures)),
+      labels.map((label) => boxRow(label, pictured === frame && isPictured(label))),
       at.teach.unfinished.map(unfinishedRow),
     );
   }
@@ -260,7 +259,7 @@ export function createBoxList(/** @type {Annotate} */ at) {
   async function readPictures() {
     const frame = app.state.frame?.frame;
     const key = frame ? `${frame.id}/${frame.revision}` : "";
-    if (!frame || key === known || desk.labels().filter(isOpen).length < 2) return;
+    if (!frame || key === known || desk.labels().filter(isPictured).filter(isOpen).length < 2) return;
     request.abort();
     request = new AbortController();
     if (known.split("/")[0] !== String(frame.id)) pictures = new Map();
@@ -282,3 +281,6 @@ export function createBoxList(/** @type {Annotate} */ at) {
     },
   };
 }
+
+/** Boxes that another camera of the rig sees better are reviewed there. */
+const isPictured = (/** @type {PageLabel} */ { better_in }) => better_in === null;
