@@ -193,7 +193,7 @@ export function createTracks(/** @type {Annotate} */ at) {
     const { text, help, of } = id === "still" && label.still ? MOVING : OPERATIONS[id];
     const { span } = app.state;
     const selected = span?.trackId === track ? { from: span.from, to: span.to } : {};
-    const field = fieldOf(id, label, app.state.project.classes, digit);
+    const field = fieldOf(id, label, digit);
     const body = () => ({
       operation: { ...of(label, frame, app.state.timeline), ...selected, ...field?.value() },
       at: frame,
@@ -250,41 +250,37 @@ export function createTracks(/** @type {Annotate} */ at) {
     at.sheet.again();
   }
 
-  return { show, step, copyToNext, operate };
-}
+  /**
+   * What an operation needs to know beside the box: its field, what that gives, and how it shows what the server
+   * proposes.
+   *
+   * @returns {{ root: HTMLElement, value: () => object, take?: (count: Api.Count) => void } | null}
+   */
+  function fieldOf(/** @type {string} */ id, /** @type {PageLabel} */ label, /** @type {string} */ digit) {
+    if (id === "merge") {
+      const input = h("input", { type: "number", min: 0, step: 1, autofocus: true, "data-testid": "track-other" });
+      return {
+        root: field("Number of the other track", input),
+        // without a number, the server names the likeliest one
+        value: () => (input.value ? { number: input.valueAsNumber } : {}),
+        take({ number }) {
+          if (input.value) return;
+          input.value = String(number);
+          input.select();
+        },
+      };
+    }
+    if (id === "class") {
+      const names = app.state.project.classes.map((name) => [name]);
+      const chosen = app.state.project.classes[Number(digit) - 1] ?? label.label;
+      const name = select(names, { "data-testid": "track-class-name" }, chosen);
+      return { root: field("Class", name), value: () => ({ label: name.value }) };
+    }
+    if (id !== "fill") return null;
+    const box = checkbox("track-refit");
+    const root = h("label", box, " Fit each box to the points of its frame");
+    return { root, value: () => ({ refit: box.checked }) };
+  }
 
-/**
- * What an operation needs to know beside the box: its field, what that gives, and how it shows what the server proposes.
- *
- * @returns {{ root: HTMLElement, value: () => object, take?: (count: Api.Count) => void } | null}
- */
-function fieldOf(
-  /** @type {string} */ id,
-  /** @type {PageLabel} */ label,
-  /** @type {string[]} */ classes,
-  /** @type {string} */ digit,
-) {
-  if (id === "merge") {
-    const input = h("input", { type: "number", min: 0, step: 1, autofocus: true, "data-testid": "track-other" });
-    return {
-      root: field("Number of the other track", input),
-      // without a number, the server names the likeliest one
-      value: () => (input.value ? { number: input.valueAsNumber } : {}),
-      take({ number }) {
-        if (input.value) return;
-        input.value = String(number);
-        input.select();
-      },
-    };
-  }
-  if (id === "class") {
-    const names = classes.map((name) => [name]);
-    const chosen = classes[Number(digit) - 1] ?? label.label;
-    const name = select(names, { "data-testid": "track-class-name" }, chosen);
-    return { root: field("Class", name), value: () => ({ label: name.value }) };
-  }
-  if (id !== "fill") return null;
-  const box = checkbox("track-refit");
-  const root = h("label", box, " Fit each box to the points of its frame");
-  return { root, value: () => ({ refit: box.checked }) };
+  return { show, step, copyToNext, operate };
 }
