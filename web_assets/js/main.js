@@ -103,10 +103,11 @@ async function loadFrame(/** @type {number} */ id, /** @type {string | null} */ 
 }
 
 /** Saves the unsaved work of the mode. If something cannot be saved, the operator decides. */
-async function mayLeave() {
+async function mayLeave(/** @type {number | null} */ to = null) {
   await mounted?.flush?.();
-  const unsaved = mounted?.unsaved?.() ?? null;
-  return unsaved === null || askUnsaved(unsaved, () => mounted?.unsaved?.() ?? null);
+  const find = () => mounted?.unsaved?.(to) ?? null;
+  const unsaved = find();
+  return unsaved === null || askUnsaved(unsaved, find);
 }
 
 function comeBack(/** @type {Omit<Route, "query">} */ { project, mode, frame }) {
@@ -315,7 +316,7 @@ async function start() {
   window.addEventListener("beforeunload", (event) => {
     // sent while the browser shows its question
     void mounted?.flush?.();
-    if (mounted?.unsaved?.()) event.preventDefault();
+    if (mounted?.unsaved?.(null)) event.preventDefault();
   });
   // no part of the page need catch an error only to show it; those of the page itself are in the console, too
   window.addEventListener("unhandledrejection", (event) => {
