@@ -28,6 +28,7 @@ from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.annotate import AUTHOR, annotate
 from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.tracks.link import link_tracks
 from annotator.workflows.workbench.review_queue import Order, doubt, queue
 
 FRAMES, JITTER = 8, 0.06
@@ -107,6 +108,10 @@ def test_the_next_pass_replaces_what_is_open_and_nothing_else(tour: Project, rec
         context = WriteContext(tour.frames.get(item.frame.id).revision, "ann")
         tour.log.append(item.frame.id, [LabelChanged(uid=item.uid or "", state=state)], context)
     before = {each.uid: each for each in tour.stills.of(1)}
+    assert link_tracks(tour).busy == ()
+    assert {each.uid: each.box.center_m.tolist() for each in tour.stills.of(1)} == {
+        uid: each.box.center_m.tolist() for uid, each in before.items()
+    }
     annotate(tour, shaky(recording, 1), RcvConfig())
     after = {each.uid: each for each in tour.stills.of(1)}
     kept = {still_of(item.uid or "") for item in reviewed}
