@@ -13,6 +13,7 @@ from annotator.cli.classes import ClassName
 from annotator.cli.options import RecordingName, RecordingNames, ids_of
 from annotator.cli.output import counted, print_line
 from annotator.project import Project
+from annotator.types import ReviewState
 from annotator.types.errors import ConfigError
 from annotator.types.label import AttributeValue
 from annotator.types.messages import amount, first_problem
@@ -267,7 +268,8 @@ def still(
         looked = find_sightings(project, chosen, near=at, progress=progress)
     seen = Counter(each.label.track_id for each in project.labels.along(chosen) if each.still is not None)
     for one in project.stills.of(chosen):
-        print_line(f"track {one.track_id} ({one.label}) stands still, seen in {amount(seen[one.track_id], 'frame')}")
+        stands = "is proposed to stand" if one.state is ReviewState.PROPOSED else "stands"
+        print_line(f"track {one.track_id} ({one.label}) {stands} still, seen in {amount(seen[one.track_id], 'frame')}")
     print_line(f"looked through {amount(looked, 'frame')}")
 
 
