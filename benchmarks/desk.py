@@ -63,9 +63,9 @@ STREET = {
     "Car": ((18.0, -7.0), (4.3, 1.8, 1.5), 80.0),
 }
 EYE_M, MOVED_M = 1.8, 2.0
-# A drawn box is right from this IoU on; a corrected one with corners this near; a placed one if its centre is this
-# near, and it holds no more points than the ground gives it.
-RIGHT, EXACT_M, NEAR_M, GROUND_POINTS = 0.5, 0.05, 1.5, 20
+# A drawn or placed box is right from this IoU on; a corrected one with corners this near; one that is placed where
+# there are no points holds no more than the ground gives it.
+RIGHT, EXACT_M, GROUND_POINTS = 0.5, 0.05, 20
 PATIENCE_S = 600.0
 IS_NEW = "document.querySelector('[data-testid=label-state]')?.textContent === 'new'"
 TOLD = "document.querySelector('[data-testid=track-count]')?.textContent.startsWith('This')"
@@ -160,11 +160,15 @@ def street(folder: Path, projects: Path) -> dict[str, Start]:
         np.save(folder / DRIVE / f"{moment}.npy", points.xyz_m)
     options = ReaderOptions(look_around=4)
     read = open_recording(folder / DRIVE, options).frame(0)
-    assert read.T_camera_label is not None
+    beside = open_recording(folder / DRIVE, options.model_copy(update={"camera": "around-090"})).frame(0)
+    assert read.T_camera_label is not None and beside.T_camera_label is not None
     truths = {name: box.transformed(read.T_camera_label) for name, box in boxes.items()}
     with create_project(projects, DRIVE, VEHICLES, settings=ProjectSettings(rotation=BoxRotation.UPRIGHT)) as project:
         ahead = add_recordings(project, [folder / DRIVE], options=options, cameras=[ALL])[0].recording
         first, second = (frame.id for frame in project.frames.of([ahead.id]))
+        cameras = {each.name.split("@")[-1]: project.frames.first(each.id) for each in project.recordings.all()}
+        seen = boxes["Truck"].transformed(beside.T_camera_label)
+        in_both = Start(DRIVE, cameras["around-090"] or 0, beside.camera, "Truck", seen)
         truck, far, car, person = (
             Start(DRIVE, frame, read.camera, name.split()[-1], truths[name])
             for name, frame in (("Truck", first), (FAR, first), ("Car", second), ("Pedestrian", second))
@@ -178,6 +182,7 @@ def street(folder: Path, projects: Path) -> dict[str, Start]:
         "place_far_car": far,
         "find_unlabelled": replace(person, uid=car.uid),
         "truck_of_rig": truck,
+        "truck_beside": in_both,
     }
 
 
@@ -191,7 +196,7 @@ class Hand:
         self._browser, self._server, self.client = browser, server, server.client("Ada")
         self.page = signed_in(browser, server)
         self.get = self.page.get_by_test_id
-        self.frames, self._starts = frames, starts
+        self.frames, self.starts = frames, starts
         self.at = starts["first_object"]
         self.actions, self.wait_s = 0, 0.0
 
@@ -200,7 +205,7 @@ class Hand:
         self.page.context.close()
         self.page = signed_in(self._browser, self._server)
         self.get = self.page.get_by_test_id
-        self.at = self._starts[name]
+        self.at = self.starts[name]
         open_frame(self.page, self.at.project, self.at.frame, self.at.uid)
         if self.at.uid:
             shown = "document.querySelector('[data-testid=orthos]')?.dataset.shown"
@@ -411,8 +416,7 @@ def place_far_car(hand: Hand) -> None:
 
     def is_there() -> bool:
         return any(
-            np.linalg.norm(box.center_m - hand.at.truth.center_m) < NEAR_M and each["points"] < GROUND_POINTS
-            for each, box in hand.reviewed()
+            iou_3d(box, hand.at.truth) >= RIGHT and each["points"] < GROUND_POINTS for each, box in hand.reviewed()
         )
 
     hand.press("Space", is_there)
@@ -420,9 +424,9 @@ def place_far_car(hand: Hand) -> None:
 
 @task(4)
 def find_unlabelled(hand: Hand) -> None:
-    """A key makes it stand out in the 3D view; it is drawn on the image."""
+    """A key makes it stand out in the 3D view, and offers a box of it."""
     hand.press("u", "document.querySelector('[data-testid=points-color]').value === 'unlabelled'")
-    hand.draw("3")
+    hand.press("u", IS_NEW)
     hand.press("Space", hand.is_right)
 
 
@@ -431,8 +435,8 @@ def truck_of_rig(hand: Hand) -> None:
     """It is drawn on one camera's image, and then in both that see it."""
     hand.draw("2")
     hand.press("Space", hand.is_right)
-    beside = list(hand.shown()["cameras"].values())[1]
-    assert [bool(each["outline"]) for each, _ in hand.reviewed(beside)] == [True]
+    hand.at = hand.starts["truck_beside"]
+    assert hand.is_right()
 
 
 # CVAT, export datasets: Ctrl+S, the menu, its entry, and the format in a list

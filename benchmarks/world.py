@@ -4,11 +4,13 @@
     python -m benchmarks.world DIR [--json]
 
 Without DIR, tours of a room are generated, with exact poses (`tour`) and with poses that drift by 1 % of the way
-(`drift`): twelve objects stand in it, and three people walk. A simulated operator (`review_operator`) goes through the
-frames, and does what the page and the commands offer. An object without a box is drawn, and corrected. If it stands
-still, it gets a number, and `annotator tracks still` says so: then each frame that sees it shows its box, and a
-correction in any of them corrects it in all. What moves is followed. `without_poses` is the same work on the same
-recording, whose poses are left out.
+(`drift`): twelve objects stand in it, and three people walk; and half as many scans from a car that passes 20 parked
+and 6 moving ones, and walkers (`drive`), seen by a virtual camera that looks ahead. A simulated operator
+(`review_operator`) does what the page and the commands offer. First, `annotate` goes through `--annotated` frames, with
+image boxes that err by 3 % of their sides, and the base detector; what it proposes to stand still waits once in the
+queue, and is accepted, corrected or rejected for all frames that see it. An object without a box is drawn, and
+corrected. If it stands still, it gets a number, and is said to. A correction in any frame corrects it in all. What
+moves is followed. `without_poses` is the work on the tour without its poses.
 
 With DIR, a recording with its own boxes and poses (all its cameras, if it is a rig): each track is labelled in its
 first moment alone, with the true box, and said to stand still where its true boxes lie within `STILL_M` in the world.
@@ -28,35 +30,62 @@ import numpy as np
 import tyro
 from scipy.spatial.transform import RigidTransform
 
+from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.geometry.iou import iou_3d
 from annotator.project import REVIEWED, NewLabel, Origin, Project, StoredFrame, WriteContext, create_project
 from annotator.project.changes import LabelChanged
+from annotator.project.classes.edit import StyleClass
 from annotator.project.records import BoxRecord
-from annotator.recordings import ReaderOptions, open_recording
+from annotator.project.rows import still_of
+from annotator.recordings import ReaderOptions, Recording, open_recording
 from annotator.recordings.look_around import RigCamera, Scanned
-from annotator.recordings.poses import FILE_NAME
+from annotator.recordings.poses import FILE_NAME, read_poses
 from annotator.synthetic import write_generated
 from annotator.types import OrientedBox, ReviewState
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import ALL, add_recordings
+from annotator.workflows.detectors import Detectors, base_model, load_detector
 from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.tracks.still_objects import find_sightings, make_still, visible
+from annotator.workflows.settings import rcv_config
+from annotator.workflows.tracks.operations import StandStill, apply
+from annotator.workflows.tracks.still_objects import find_sightings, visible
+from annotator.workflows.workbench.review_queue import Order, queue
 from benchmarks.report import QUIET, Options, Table, chosen, guarded, program, require
 from benchmarks.review_desk import AUTHOR, Thing, TrackKey
 from benchmarks.review_moves import KEY_S, TYPE_S, Bill
-from benchmarks.review_operator import CARE, Operator
+from benchmarks.review_operator import CARE, Operator, meant_for
 
 # An object stands still if the centres of its true boxes lie within this distance in the world.
 STILL_M = 0.05
 # A moment sees an object by so many points in its true box, on an image.
 SEEN_POINTS = 5
+# Error of the image boxes, share of their sides; and the least points of a detected object.
+IMAGE_ERROR, LEAST_POINTS = 0.03, 60
 # Virtual cameras around a LiDAR without cameras.
 AROUND = 6
 # A box is wrong that overlaps no object by this 3D IoU.
 WRONG_IOU = 0.25
-# Drift of the poses, and the size of the images of generated recordings.
-PARTS = {"tour": 0.0, "drift": 0.01, "without_poses": 0.0}
+
+
+class Part(NamedTuple):
+    """A generated recording: its preset, the drift of its poses, whether its classes stand still, and the tracks that
+    do, from 1."""
+
+    preset: str
+    drift: float
+    classes: dict[str, bool | None]
+    still: int
+
+
+ROOM: dict[str, bool | None] = {"object": True, "person": False}
+PARTS = {
+    "tour": Part("tour", 0.0, ROOM, 12),
+    "drift": Part("tour", 0.01, ROOM, 12),
+    "drive": Part("drive", 0.0, {"car": None, "person": False}, 20),
+    "without_poses": Part("tour", 0.0, ROOM, 12),
+}
 WIDTH_PX, HEIGHT_PX = 320, 240
 
 
@@ -68,6 +97,8 @@ class Arguments(Options):
     """Frames of a generated recording."""
     only: str = ",".join(PARTS)
     """Rows to measure, separated by commas."""
+    annotated: int = 40
+    """Frames through which `annotate` goes before; 0 = none, so that all is drawn."""
     quality: float = 0.75
     """3D IoU from which the operator leaves a box as it is."""
     error_px: float = 2.0
@@ -116,7 +147,7 @@ def still_objects(path: Path, folder: Path) -> dict[str, Any]:
             frame, box = seen[0]
             new = NewLabel(key[0], box, track_id=track_id)
             project.labels.create(frame.id, [new], WriteContext(project.frames.get(frame.id).revision, AUTHOR))
-            make_still(project, frame.recording_id, track_id, AUTHOR, frame_id=frame.id)
+            apply(project, frame.recording_id, track_id, StandStill(frame=frame.id), AUTHOR)
         find_sightings(project, first, progress=lambda done, of: QUIET.print(f"{done} of {of} moments"))
         ious = [
             best_of(project, track_id, seen, moment)
@@ -178,6 +209,29 @@ class Traveller(Operator):
         super().__init__(project, frames, args.quality, args.error_px, args.seed)
         self.still: set[TrackKey] = set()
 
+    def review_stills(self) -> None:
+        """Takes what is proposed to stand still from the queue, each in the frame that sees most of it."""
+        for item in queue(self.desk.project, Order.WORST).items:
+            if item.uid is None or still_of(item.uid) is None:
+                continue
+            self.desk.enter(item.frame)
+            (label,) = (each for each in self.desk.labels(item.frame) if each.uid == item.uid)
+            thing = meant_for([label], self.desk.things(item.frame)).get(label.uid)
+            bill = self.desk.bills[next(iter(self.still)) if thing is None else thing.key]
+            self.desk.look(item.frame, label.box, bill, is_ahead=True)
+            if thing is None or thing.key not in self.still:
+                bill.act("reject", KEY_S)
+                change = LabelChanged(uid=label.uid, state=ReviewState.REJECTED)
+            else:
+                is_right = self.desk.is_right(label, thing)
+                margin = 0.0 if is_right else CARE
+                box, _ = self._corrections.corrected(
+                    item.frame, label.box, thing, bill, can_redraw=False, margin=margin
+                )
+                bill.act("accept", KEY_S)
+                change = edited(label.uid, box) if not is_right else accepted(label.uid)
+            self.desk.store(item.frame, [change])
+
     def _draw_missing(self, frame: StoredFrame, thing: Thing) -> None:
         """Draws an object; one that stands still gets a number, and is in all frames that see it."""
         if thing.key not in self.still:
@@ -193,7 +247,7 @@ class Traveller(Operator):
         bill.act("accept", KEY_S)
         bill.act("number", TYPE_S)
         bill.act("stands still", KEY_S)
-        make_still(project, frame.recording_id, track_id, AUTHOR, frame_id=frame.id)
+        apply(project, frame.recording_id, track_id, StandStill(frame=frame.id), AUTHOR)
 
     def _review_frame(self, frame: StoredFrame) -> None:
         """Corrects what stands still where the frame shows that its box is not right, draws, and looks where else."""
@@ -217,6 +271,11 @@ class Traveller(Operator):
             self.desk.store(frame, [edited(label.uid, box)])
 
 
+def accepted(uid: str) -> LabelChanged:
+    """An operator's decision that a box is right."""
+    return LabelChanged(uid=uid, state=ReviewState.ACCEPTED)
+
+
 def edited(uid: str, box: OrientedBox) -> LabelChanged:
     """An operator's correction of a box."""
     return LabelChanged(uid=uid, state=ReviewState.EDITED, box=BoxRecord.of(box))
@@ -224,18 +283,35 @@ def edited(uid: str, box: OrientedBox) -> LabelChanged:
 
 def _generated(args: Arguments, part: str, folder: Path) -> dict[str, Any]:
     path = folder / part
-    write_generated(path, "tour", args.frames, args.seed, WIDTH_PX, HEIGHT_PX, drift=PARTS[part])
+    made = PARTS[part]
+    frames = args.frames // 2 if made.preset == "drive" else args.frames
+    write_generated(path, made.preset, frames, args.seed, WIDTH_PX, HEIGHT_PX, drift=made.drift)
     recording = open_recording(path)
-    poses = [T for index in range(len(recording)) if (T := recording.pose(index)) is not None]
-    still = {("object", track) for track in range(1, 13)}
+    true_poses = read_poses(path / "truth", recording.keys, None) if made.drift else None
+    found = [true_poses.at(i, None) if true_poses else recording.pose(i) for i in range(len(recording))]
+    poses = [T for T in found if T is not None]
+    still = {(next(iter(made.classes)), track) for track in range(1, made.still + 1)}
     if part == "without_poses":
         (path / FILE_NAME).unlink()
-    with create_project(folder, f"{part}_project", ("object", "person")) as project:
+    with create_project(folder, f"{part}_project", tuple(made.classes)) as project:
+        for name, is_still in made.classes.items():
+            project.change_classes(StyleClass(name=name, style={"still": is_still}), AUTHOR)
         add_recordings(project, [path])
+        if args.annotated:
+            annotate(project, _detectors(recording, args.seed), rcv_config(project), limit=args.annotated)
         operator = Traveller(project, project.frames.of(), args)
         operator.still = still if part != "without_poses" else set()
+        operator.review_stills()
         operator.review(with_sheets=False)
         return _counted(operator, still, poses)
+
+
+def _detectors(recording: Recording, seed: int) -> Detectors:
+    """True boxes on the images with an error, and the base detector."""
+    frames = (recording.frame(index) for index in range(len(recording)))
+    scenes = [Scene.of(frame, load_truth(recording, index, frame)) for index, frame in enumerate(frames)]
+    image, base = PerfectDetector(scenes, jitter=IMAGE_ERROR, seed=seed, min_points=LEAST_POINTS), base_model()
+    return Detectors(image, load_detector(base.path), base.box_kind, base.class_agnostic)
 
 
 def _counted(operator: Traveller, still: set[TrackKey], poses: Sequence[RigidTransform]) -> dict[str, Any]:

@@ -126,6 +126,8 @@ def summary_lines(done: AnnotateSummary) -> list[str]:
         f"{amount(done.done, 'frame')} done, {proposals}, "
         f"{done.skipped} skipped, {done.failures} failed; {done.seconds:.1f} s{rate}{backends}",
     ]
+    if done.still:
+        lines.append(f"{amount(done.still, 'proposal')} of objects that stand still, each for all frames that see it")
     lines += [f"  failed {key}: {reason}" for key, reason in done.failed[:SHOWN_FAILURES]]
     if done.failures > SHOWN_FAILURES:
         lines.append(f"  and {done.failures - SHOWN_FAILURES} more")

@@ -199,6 +199,34 @@ class StillMade(_Checked):
     still: Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")] = Field(default_factory=new_uid)
 
 
+@dataclass(frozen=True, eq=False)
+class StillProposal:
+    """An object that stands still, as one proposal for all moments that see it.
+
+    Attributes:
+        box: in the camera frame of the frame.
+        track_id: one that the rig has not used.
+        uid: of the still object.
+    """
+
+    label: str
+    box: OrientedBox
+    track_id: int
+    score: float
+    expected_iou_loss: float
+    box_kind: BoxKind = BoxKind.BOX
+    uid: str = field(default_factory=new_uid)
+
+
+@dataclass(frozen=True, eq=False)
+class StillsProposed(Payload):
+    """An automatic pass: what stands still in a rig. `removed`: uids of the open ones of the pass before."""
+
+    kind = "stills_proposed"
+    new: Sequence[StillProposal]
+    removed: Sequence[str] = ()
+
+
 class StillEnded(_Checked):
     """The object of a label is no longer said to stand still."""
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 from sqlalchemy import select
 
 from annotator.project.audit.making import make
 from annotator.project.audit.writing import Receipt, Write, WriteContext
 from annotator.project.changes import NewLabel, ProposalsReplaced
+from annotator.project.classes.values import is_open_still
 from annotator.project.database.schema import frames, passes
 from annotator.project.database.schema import own_labels as labels
 from annotator.project.database.store import driver_of
@@ -21,6 +24,7 @@ from annotator.project.records import parsed, storable
 from annotator.project.rows import Terms
 from annotator.project.sources import KIND, Brought, agreement, covered_by, merged, regroup, show, told
 from annotator.types import BoxKind, OrientedBox, Proposal, ReviewState, Source
+from annotator.types.label import Edges
 
 
 @dataclass(frozen=True)
@@ -85,10 +89,16 @@ class Proposals:
                 read_run(connection, run.run_id)
             write = Write(self.writer.store, connection, frame_id, where, context, action)
             before = {row["uid"]: row for row in write.open_proposals()}
-            staying = [each.label for each in read_stored(connection, frame_id) if each.label.uid not in before]
+            own = set(before)
+            # an open object that stands still is proposed anew after the pass, which looks for it again
+            before |= {row["uid"]: row for row in write.sightings() if is_open_still(row, write.terms)}
+            stored = [each.label for each in read_stored(connection, frame_id)]
+            staying = [label for label in stored if label.uid not in before]
             covering = covered_by(proposals, staying)
             # two boxes of a frame never share a track: the label that stays keeps it, or the first proposal
-            taken = {label.track_id for label in staying if label.state is not ReviewState.REJECTED}
+            taken = {
+                label.track_id for label in stored if label.uid not in own and label.state is not ReviewState.REJECTED
+            }
             taken |= write.hidden_tracks()
             ids = list[int | None]()
             for id, cover in zip(track_ids or [None] * len(proposals), covering, strict=True):
@@ -189,7 +199,32 @@ class Proposals:
                 return None
 
             def read(text: str) -> tuple[tuple[str, OrientedBox, float], ...]:
-                found = json.loads(text)
-                return tuple((terms.names[number], terms.box(box, frame_id), score) for number, score, box in found)
+                return tuple((name, box, score) for name, box, score, _ in _found(text, terms, frame_id))
 
             return parsed(read, content)
+
+    def found(self, recording_id: int) -> dict[int, tuple[Found, ...]]:
+        """What the latest passes have found in a recording's frames that are there, by the frame's id."""
+        query = select(passes.c.frame_id, passes.c.content).join(frames, frames.c.id == passes.c.frame_id)
+        query = query.where(frames.c.recording_id == recording_id, frames.c.position.is_not(None))
+        with self.writer.store.read() as connection:
+            terms = Terms(connection)
+            rows = connection.execute(query.order_by(frames.c.position)).all()
+            return {id: parsed(partial(_found, terms=terms, frame_id=id), content) for id, content in rows}
+
+
+class Found(NamedTuple):
+    """What a pass has found; `edges` as in `Proposal`."""
+
+    label: str
+    box: OrientedBox
+    score: float
+    edges: Edges | None
+
+
+def _found(text: str, terms: Terms, frame_id: int) -> tuple[Found, ...]:
+    # projects of earlier development versions have no edges
+    return tuple(
+        Found(terms.names[number], terms.box(box, frame_id), score, tuple(edges[0]) if edges and edges[0] else None)
+        for number, score, box, *edges in json.loads(text)
+    )

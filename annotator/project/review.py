@@ -12,7 +12,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Float, Select, Table, Text, and_, case, cast, func, literal, null, select
 
 from annotator.project.classes.attributes import Value, value_text
-from annotator.project.database.schema import ALL_LABELS, AnyRow, frames, own_labels
+from annotator.project.database.schema import ALL_LABELS, AnyRow, frames, own_labels, sightings, still_labels, stills
 from annotator.project.database.store import Store
 from annotator.project.frames import FRAME_COLUMNS, StoredFrame
 from annotator.project.records import OWN
@@ -20,8 +20,18 @@ from annotator.project.rows import Terms
 from annotator.types import ReviewState
 
 _BEHIND = ALL_LABELS.alias()
-# Objects that stand still are reviewed, and wait for nothing.
 labels = own_labels
+# An open object that stands still waits once: in the frame that sees most of it.
+_MOST = func.max(sightings.c.points * (1.0 - sightings.c.hidden_share)).label("most")
+_OPEN_STILLS = (
+    select((-sightings.c.id).label("id"), _MOST)  # SQLite takes the id from the row with the maximum
+    .join(stills, stills.c.uid == sightings.c.still)
+    .join(frames, frames.c.id == sightings.c.frame_id)
+    .where(stills.c.state == ReviewState.PROPOSED.value, sightings.c.seen, frames.c.position.is_not(None))
+    .where(~frames.c.finalised, ~sightings.c.hidden)
+    .group_by(stills.c.uid)
+    .subquery()
+)
 
 
 @dataclass(frozen=True)
@@ -44,9 +54,9 @@ class ValueFilter:
     low: float | None = None
     high: float | None = None
 
-    def clause(self) -> ColumnElement[bool]:
-        """The condition of a query of labels joined with their frames."""
-        found = self._value()
+    def clause(self, of: Table) -> ColumnElement[bool]:
+        """The condition of a query of labels (`of`) joined with their frames."""
+        found = self._value(of)
         conditions = {
             "text": lambda text: found == text,
             "contains": lambda part: func.instr(func.lower(found), func.lower(part)) > 0,
@@ -58,9 +68,9 @@ class ValueFilter:
             return found.is_not(None) if self.known else found.is_(None)
         return and_(*given)
 
-    def _value(self) -> ColumnElement[str]:
+    def _value(self, of: Table) -> ColumnElement[str]:
         """The value as text; NULL without one."""
-        column = frames.c.attributes if self.of_frame else labels.c.attributes
+        column = frames.c.attributes if self.of_frame else of.c.attributes
         values = func.json_each(column).table_valued("key", "value", "type")
         known = case((values.c.type.in_(("true", "false")), values.c.type), else_=cast(values.c.value, Text))
         found = select(known).select_from(values).where(values.c.key == self.name).scalar_subquery()
@@ -126,24 +136,32 @@ def waiting(
     Args:
         source: only of objects that this source sees; `OWN` for annotator itself.
     """
-    doubt = label_doubt()
-    is_open = _is_open(recordings, classes)
-    if attribute is not None:
-        is_open &= attribute.clause()
-    if source is not None:
-        is_open &= _is_said_by(source)
-    order = _order(by, doubt)
-    # the long columns are read of the first ones only
-    first = _of_frames(select(labels.c.id)).where(is_open).order_by(*order).limit(most)
-    further = select(func.json_group_array(func.json_array(_BEHIND.c.score, func.coalesce(_BEHIND.c.of_source, OWN))))
-    further_of = further.where(_BEHIND.c.behind == labels.c.uid).scalar_subquery().label("further")
-    columns = (labels.c.uid, labels.c.label, labels.c.of_source, further_of, doubt.label("doubt"), labels.c.box)
-    query = _of_frames(select(*FRAME_COLUMNS, *columns)).where(labels.c.id.in_(first)).order_by(*order)
+    rows, total = list[AnyRow](), 0
     with store.read() as connection:
         terms = Terms(connection)
-        found = tuple(_item(row, terms) for row in connection.execute(query))
-        total = connection.execute(_of_frames(select(func.count())).where(is_open)).scalar_one()
-    return found, int(total)
+        for of in (own_labels, still_labels)[: 1 + terms.has_stills]:
+            is_open = _is_open(recordings, classes, of)
+            if attribute is not None:
+                is_open &= attribute.clause(of)
+            if source is not None:
+                is_open &= _is_said_by(source, of)
+            rows += connection.execute(_first(by, is_open, most, of))
+            total += int(connection.execute(_of_frames(select(func.count()), of).where(is_open)).scalar_one())
+    if terms.has_stills:
+        rows.sort(key=lambda row: tuple(row[-len(_order(by, labels)) :]))
+    return tuple(_item(row, terms) for row in rows[:most]), total
+
+
+def _first(by: By, is_open: ColumnElement[bool], most: int | None, of: Table) -> Select[Any]:
+    """The first open proposals; the last columns are those of the order."""
+    order, doubt = _order(by, of), label_doubt(of)
+    # the long columns are read of the first ones only
+    first = _of_frames(select(of.c.id), of).where(is_open).order_by(*order).limit(most)
+    further = select(func.json_group_array(func.json_array(_BEHIND.c.score, func.coalesce(_BEHIND.c.of_source, OWN))))
+    further_of = further.where(_BEHIND.c.behind == of.c.uid).scalar_subquery().label("further")
+    columns = (of.c.uid, of.c.label, of.c.of_source, further_of, doubt.label("doubt"), of.c.box)
+    ordered = [each.label(f"order_{number}") for number, each in enumerate(order)]
+    return _of_frames(select(*FRAME_COLUMNS, *columns, *ordered), of).where(of.c.id.in_(first)).order_by(*order)
 
 
 def _item(row: AnyRow, terms: Terms) -> QueueItem:
@@ -154,12 +172,15 @@ def _item(row: AnyRow, terms: Terms) -> QueueItem:
 
 def waiting_sources(store: Store) -> dict[str, int]:
     """The number of objects that each source sees among the open proposals of `waiting`, by its name."""
-    shown = select(func.coalesce(labels.c.of_source, OWN), func.count()).select_from(labels)
     hidden = select(func.coalesce(_BEHIND.c.of_source, OWN), func.count()).select_from(labels)
+    queries = [(hidden.join(_BEHIND, _BEHIND.c.behind == labels.c.uid), labels)]
+    queries += [
+        (select(func.coalesce(of.c.of_source, OWN), func.count()).select_from(of), of) for of in (labels, still_labels)
+    ]
     counts = Counter[str]()
     with store.read() as connection:
-        for query in (shown, hidden.join(_BEHIND, _BEHIND.c.behind == labels.c.uid)):
-            found = query.join(frames, frames.c.id == labels.c.frame_id).where(_is_open(None, None))
+        for query, of in queries:
+            found = query.join(frames, frames.c.id == of.c.frame_id).where(_is_open(None, None, of))
             counts.update(dict(connection.execute(found.group_by(query.selected_columns[0])).all()))
     return {name: counts[name] for name in sorted(counts, key=lambda name: (name != OWN, name))}
 
@@ -179,23 +200,27 @@ def worst_of_frames(store: Store, recordings: Collection[int] | None) -> dict[in
         return {row[0]: row[1] for row in connection.execute(query)}
 
 
-def _of_frames(query: Select[Any]) -> Select[Any]:
-    return query.select_from(labels).join(frames, frames.c.id == labels.c.frame_id)
+def _of_frames(query: Select[Any], of: Table = labels) -> Select[Any]:
+    return query.select_from(of).join(frames, frames.c.id == of.c.frame_id)
 
 
-def _is_open(recordings: Collection[int] | None, classes: Collection[str] | None) -> ColumnElement[bool]:
-    is_open = (labels.c.state == ReviewState.PROPOSED.value) & frames.c.position.is_not(None) & ~frames.c.finalised
+def _is_open(
+    recordings: Collection[int] | None, classes: Collection[str] | None, of: Table = labels
+) -> ColumnElement[bool]:
+    is_open = (of.c.state == ReviewState.PROPOSED.value) & frames.c.position.is_not(None) & ~frames.c.finalised
+    if of is still_labels:
+        is_open &= of.c.id.in_(select(_OPEN_STILLS.c.id))
     if recordings is not None:
         is_open &= frames.c.recording_id.in_(recordings)
-    return is_open if classes is None else is_open & labels.c.label.in_(classes)
+    return is_open if classes is None else is_open & of.c.label.in_(classes)
 
 
-def _is_said_by(source: str) -> ColumnElement[bool]:
+def _is_said_by(source: str, of: Table) -> ColumnElement[bool]:
     name = None if source == OWN else source
     behind = select(_BEHIND.c.behind).where(
         _BEHIND.c.behind.is_not(None), _BEHIND.c.of_source.is_not_distinct_from(name)
     )
-    return labels.c.of_source.is_not_distinct_from(name) | labels.c.uid.in_(behind)
+    return of.c.of_source.is_not_distinct_from(name) | of.c.uid.in_(behind)
 
 
 def label_doubt(of: Table = labels) -> ColumnElement[float]:
@@ -209,12 +234,12 @@ def label_doubt(of: Table = labels) -> ColumnElement[float]:
     return case((unknown, null()), else_=cast(1.0 - trust, Float))
 
 
-def _order(by: By, doubt: ColumnElement[float]) -> Sequence[ColumnElement[Any]]:
-    worst = func.coalesce(doubt, 0.0).desc()
+def _order(by: By, of: Table) -> Sequence[ColumnElement[Any]]:
+    worst = -func.coalesce(label_doubt(of), 0.0)
     first: dict[By, list[ColumnElement[Any]]] = {
         By.DOUBT: [worst],
         By.FRAME: [],
-        By.CLASS: [labels.c.label, worst],
-        By.TRACK: [frames.c.recording_id, labels.c.track_id.is_(None), func.coalesce(labels.c.track_id, 0)],
+        By.CLASS: [of.c.label, worst],
+        By.TRACK: [frames.c.recording_id, of.c.track_id.is_(None), func.coalesce(of.c.track_id, 0)],
     }
-    return [*first[by], frames.c.recording_id, frames.c.position, frames.c.id, labels.c.id]
+    return [*first[by], frames.c.recording_id, frames.c.position, frames.c.id, of.c.id]

@@ -14,7 +14,7 @@ from annotator.project.audit.making import put_said
 from annotator.project.audit.writing import Write
 from annotator.project.changes import NewLabel
 from annotator.project.classes.attributes import fitting
-from annotator.project.classes.values import Values, conflicts, lent, new_values, of_tracks, own_values
+from annotator.project.classes.values import Values, conflicts, is_open_still, lent, new_values, of_tracks, own_values
 from annotator.project.database.store import Store, driver_of
 from annotator.project.labels import certainty
 from annotator.project.records import OWN
@@ -130,7 +130,7 @@ def told(write: Write, source: str, boxes: Sequence[NewLabel]) -> tuple[list[Tol
     staying = [
         Truth(terms.names[row["class_id"]], terms.box(row["box"], write.frame_id))
         for row in _others(write, {row["uid"] for row in waiting})
-        if row["behind"] is None
+        if row["behind"] is None and not is_open_still(row, terms)
     ]
     for row in waiting:
         if row["of_source"] == source:

@@ -34,6 +34,7 @@ class StillObject:
 
     Attributes:
         box: in the frame of the world.
+        is_open: whether it is a proposal that a pass replaces.
         place: where about the box is; what was looked for there is looked for again once this changes.
     """
 
@@ -42,6 +43,7 @@ class StillObject:
     label: str
     state: ReviewState
     box: OrientedBox
+    is_open: bool = False
 
     @property
     def place(self) -> str:
@@ -91,6 +93,7 @@ class Stills:
                     names[row.class_id],
                     ReviewState(row.state),
                     world_box(row.box),
+                    row.state == ReviewState.PROPOSED.value and not row.values_set,
                 )
                 for row in found
             )

@@ -13,7 +13,7 @@ from annotator.geometry.oriented_box import aligned_box, canonical_box, contains
 from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.rcv.axes import camera_axes
 from annotator.rcv.config import MIN_POINTS, RcvConfig
-from annotator.rcv.first_look import expected_outline
+from annotator.rcv.first_look import expected_outline, known_edges
 from annotator.rcv.recursion import FrustumFacts, ObjectState
 from annotator.rcv.typical_size import Candidates, best_expected, changed
 from annotator.types import BoxKind, Camera, Frame, LostObject, OrientedBox, Proposal, StopReason
@@ -55,7 +55,8 @@ def finish(frame: Frame, states: Sequence[ObjectState], config: RcvConfig) -> Fr
         # a coarse box around a frustum has no view score and ranks below all boxes confirmed by a view
         score = float(np.sqrt(state.image_box.score * (state.view_score or config.min_view_score)))
         quality = replace(state.quality, image_agreement=image_agreement(frame.camera, state, box, config))
-        proposals.append(Proposal(state.image_box.label, score, box, state.image_box, state.steps, quality))
+        edges = known_edges(frame.camera, expected_outline(frame.camera, state.image_box, config).box)
+        proposals.append(Proposal(state.image_box.label, score, box, state.image_box, state.steps, quality, edges))
     proposals = _agreeing_with_image(proposals)
     rank = np.array([p.score * _agreement(p) for p in proposals])
     keep = nms_3d([p.box for p in proposals], rank, [p.label for p in proposals], NMS_IOU)

@@ -18,6 +18,7 @@ from annotator.geometry.projection import project, undistort_px
 from annotator.rcv.config import MIN_POINTS, RcvConfig
 from annotator.rcv.interval_fit import Intervals
 from annotator.types import Box2D, BoxKind, Camera
+from annotator.types.label import Edges
 
 # The crops: percentiles of the depths in the box's middle, and lengths in multiples of the box's longer side there.
 DEPTH_PERCENTILES, LENGTHS = (5.0, 20.0, 40.0, 60.0, 80.0), (1.0, 2.5)
@@ -118,16 +119,30 @@ def image_planes(camera: Camera, outline: Outline, depth_m: float) -> Intervals 
     Args:
         depth_m: depth of the object, which turns the error of an edge into metres.
     """
-    image_box = outline.box
-    known = ~np.array(edges_at_border(camera, image_box, BORDER_PX))
-    edges_px = (image_box.x_min, image_box.x_max, image_box.y_min, image_box.y_max)
-    left, right, top, bottom = edges_normalised(camera, edges_px)
-    normals = np.array([(-1.0, 0.0, left), (1.0, 0.0, -right), (0.0, -1.0, top), (0.0, 1.0, -bottom)])
-    known &= np.isfinite(normals).all(axis=1)
-    if not known.any():
+    edges = known_edges(camera, outline.box)
+    if (directions := edge_planes(edges)) is None:
         return None
-    directions: Float64[np.ndarray, "k 3"] = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    sigma_m = outline.sigma_px * depth_m / np.array([camera.fx, camera.fx, camera.fy, camera.fy])
-    sigma_m = sigma_m / np.linalg.norm(normals, axis=1)
-    ends = np.zeros((int(known.sum()), 2))
-    return Intervals(directions[known], ends, np.stack([np.full(4, np.inf), sigma_m], axis=1)[known])
+    known = [edge is not None for edge in edges]
+    slants = np.array([np.hypot(1.0, edge) for edge in edges if edge is not None])
+    sigma_m = (outline.sigma_px * depth_m / np.array([camera.fx, camera.fx, camera.fy, camera.fy]))[known] / slants
+    return Intervals(
+        directions, np.zeros((len(directions), 2)), np.stack([np.full(len(slants), np.inf), sigma_m], axis=1)
+    )
+
+
+def known_edges(camera: Camera, image_box: Box2D) -> Edges:
+    """The edges of a box on the image; those at the image's border are not known, since the object may go on there."""
+    edges = edges_normalised(camera, (image_box.x_min, image_box.x_max, image_box.y_min, image_box.y_max)).tolist()
+    at_border = edges_at_border(camera, image_box, BORDER_PX)
+    left, right, top, bottom = (
+        None if is_cut or not np.isfinite(edge) else edge for edge, is_cut in zip(edges, at_border, strict=True)
+    )
+    return left, right, top, bottom
+
+
+def edge_planes(edges: Edges) -> Float64[np.ndarray, "k 3"] | None:
+    """The unit normals, outward, of the planes through the camera and the known edges; None without any."""
+    left, right, top, bottom = (np.nan if edge is None else edge for edge in edges)
+    normals = np.array([(-1.0, 0.0, left), (1.0, 0.0, -right), (0.0, -1.0, top), (0.0, 1.0, -bottom)])
+    normals = normals[np.isfinite(normals).all(axis=1)]
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True) if len(normals) else None

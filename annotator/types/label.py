@@ -216,6 +216,10 @@ class Quality:
     expected_iou_loss: float | None = None
 
 
+Edges = tuple[float | None, float | None, float | None, float | None]
+"""Left, right, top and bottom of a rectangle on an image as x/z and y/z; None at the border, where it may go on."""
+
+
 @dataclass(frozen=True, eq=False)
 class Proposal:
     """An oriented 3D box proposed for one object of one frame.
@@ -225,6 +229,7 @@ class Proposal:
         box: camera frame.
         image_box: the box on the camera image whose frustum was processed.
         quality: signals for the review.
+        edges: of the expected outline of the whole box on the image; None where they are not known.
     """
 
     label: str
@@ -233,6 +238,7 @@ class Proposal:
     image_box: Box2D
     trace: tuple[StepTrace, ...]
     quality: Quality
+    edges: Edges | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,12 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, model_validator
 from scipy.spatial.transform import Rotation
 
+from annotator.geometry.projection import radius_limit_squared
 from annotator.project import Effort as StoredEffort
 from annotator.project import WriteContext
 from annotator.project.classes.attributes import Value
-from annotator.types import Box2D, BoxKind, OrientedBox, Quality, ReviewState, Source, Suggestion
+from annotator.project.records import ViewGeometry
+from annotator.types import Box2D, BoxKind, Camera, OrientedBox, Quality, ReviewState, Source, Suggestion
 from annotator.types.bases import Strict, TrackId
 
 # Limits of numbers in requests: finite, and wide enough for any image and recording.
@@ -99,6 +101,20 @@ class Box3DJson(Schema):
         center, size = tuple(source.pose[:3, 3].tolist()), tuple(source.size_m.tolist())
         rotation = tuple(map(tuple, source.pose[:3, :3].tolist()))
         return super().of(source, center=center, size=size, rotation=rotation, **more)
+
+
+class PlaneJson(Schema):
+    """The plane of a pseudo-view, as in `ViewJson`."""
+
+    axes: Axes
+    metres_per_px: Length
+    origin_m: tuple[Metres, Metres]
+
+    def geometry(self) -> ViewGeometry:
+        return ViewGeometry.model_validate(self.model_dump())
+
+
+Planes = Annotated[tuple[PlaneJson | None, ...], Field(max_length=4)]
 
 
 class Effort(Schema):
@@ -215,7 +231,8 @@ class LabelJson(LabelValues):
 class FrameJson(Schema):
     """A frame: its recording, key, index, neighbours, revision, and values of its own attributes.
 
-    `cameras`: the frames of its moment, its own included, by the ids of their recordings.
+    `cameras`: the frames of its moment, its own included, by the ids of their recordings. `T_camera_cloud`: if there
+    are several, from the frame of their cloud to that of this camera (4 x 4); null: they are the same.
     """
 
     id: int
@@ -228,17 +245,29 @@ class FrameJson(Schema):
     previous: int | None
     next: int | None
     cameras: dict[int, int]
+    T_camera_cloud: list[list[float]] | None
     attributes: dict[str, Value]
 
 
 class CameraJson(Schema):
-    """Camera intrinsics, with which the page projects a dragged box; distortion as in `cv2.projectPoints`."""
+    """Camera intrinsics, with which the page projects a dragged box; distortion as in `cv2.projectPoints`.
+
+    `most_q`: the squared distance from the axis, at depth 1, up to which the lens model counts; null: everywhere.
+    """
 
     fx: float
     fy: float
     cx: float
     cy: float
     distortion: tuple[float, ...]
+    most_q: float | None
+
+    @classmethod
+    def of(cls, source: object, /, **more: Any) -> Self:
+        """From a `Camera`; nothing is validated."""
+        assert isinstance(source, Camera)
+        limit = radius_limit_squared(source.distortion)
+        return super().of(source, most_q=limit if math.isfinite(limit) else None, **more)
 
 
 class ImageJson(Schema):

@@ -28,6 +28,8 @@ interface Attributes extends Listeners {
   [name: string]: AttributeValue;
 }
 type Child = Node | string | null | undefined | false;
+/** Children in lists, and in lists of lists. */
+type Children = Child | Children[];
 /** The tag of an element that is written with its classes: "div.row" is a "div". */
 type TagOf<T extends string, Known> = (T extends `${infer Tag}.${string}` ? Tag : T) & keyof Known;
 
@@ -175,6 +177,10 @@ type Events = ReturnType<typeof import("../../web_assets/js/events.js").createEv
 type Keys = ReturnType<typeof import("../../web_assets/js/keys.js").createKeys>;
 /** `key`: its name as in the table; "" for a button. */
 type KeyHandler = (key: string) => unknown;
+/** A row of the table of keys: `shown` is what the table shows in place of `keys`. */
+type KeyRow = { id: string; keys: string[]; shown?: string[]; label: string; group: string };
+/** A row of a chooser: `frame` is the one to go to, `done` the share of its boxes that are reviewed. */
+type Choice = { name: string; frame: number | null; isCurrent: boolean; note: string; done?: number | null };
 type Frames = ReturnType<typeof import("../../web_assets/js/frame_state.js").createFrameState>;
 type Viewport = ReturnType<typeof import("../../web_assets/js/viewport.js").createViewport>;
 type ViewportBar = ReturnType<typeof import("../../web_assets/js/viewport_bar.js").createViewportBar>;
@@ -197,8 +203,8 @@ interface App {
   refreshProject(): Promise<void>;
   /** Reads a frame into state.frame, and reports to the other pages that it is open here. */
   loadFrame(id: number, bestFor?: string | null): Promise<FrameState>;
-  /** Saves everything. False if something cannot be saved and the operator stays with it. */
-  mayLeave(): Promise<boolean>;
+  /** Saves everything that a frame does not keep. False if something cannot be saved and the operator stays with it. */
+  mayLeave(to?: number | null): Promise<boolean>;
   /** Sets the address back to the frame that is shown. */
   stay(frame: number): void;
   undo(): Promise<void>;
@@ -221,7 +227,8 @@ interface Mounted {
   route?(route: Route): void;
   /** Resolves when all changes that are being saved are saved, or have failed. */
   flush?(): Promise<unknown>;
-  unsaved?(): Unsaved | null;
+  /** `to`: the frame that is opened next; null: none. */
+  unsaved?(to: number | null): Unsaved | null;
 }
 
 type ErrorBody = {
@@ -272,6 +279,8 @@ type View = ReturnType<typeof import("../../web_assets/js/editor2d/geometry.js")
 interface EditorOptions {
   /** Accessible name. */
   label: string;
+  /** Ends the editor. */
+  until: AbortSignal;
   color: (box: EditorBox) => string;
   /** Class of a drawn box. */
   newLabel?: () => string | null;
@@ -355,7 +364,6 @@ interface Editor {
   flush(): void;
   /** True during a drag, and while key presses are collected into one change; setBoxes must not be called then. */
   readonly isDragging: boolean;
-  destroy(): void;
 }
 
 /** What listens to pointers: an editor, or a map. px are of what `view` calls the picture. */
@@ -363,6 +371,7 @@ interface PointerHost {
   root: HTMLElement;
   size: Size & { border?: number };
   view: Pick<View, "toPicture" | "panBy" | "zoomAbout">;
+  until: AbortSignal;
   redraw(): void;
   hit(px: Point, event: PointerEvent): Hit;
   begin(hit: Hit, px: Point, point: Point): Gesture;
@@ -379,6 +388,12 @@ type Hit = {
   sideX?: number;
   sideY?: number;
 };
+
+/** What a drag does; `cancel` only if it must restore something other than the boxes. */
+type Drag = { move: (px: Point, point: Point) => void; finish: () => void; cancel?: () => void };
+
+/** The place of a text at an overlay. */
+type Tag = { x: number; y: number; width: number };
 
 /** From pointer down to pointer up; px are of the picture, the point is in the window. */
 type Gesture = {
@@ -407,41 +422,33 @@ type Item = {
   found: string | null;
 };
 
-/**
- * The object that is being drawn. `kept` marks suggestions that are the operator's own boxes from former views.
- * `changes` counts the operator's changes.
- */
+/** The object that is being drawn. `changes` counts the operator's changes. */
 type Draft = {
   item: Item;
   /** Its frame's id. */
   frame: number;
-  steps: { views: Api.ViewJson[] }[];
-  suggestions: ViewBox[];
-  kept: boolean[];
-  /** Outline on the image of the 3D box so far. */
-  outline: Line[] | null;
-  /** The reason why there are no further views. */
-  stop: string | null;
+  /** Its views with suggestions, as the server answered last. */
+  answer: Omit<Api.StepsOut, "box" | "points">;
   isLoading: boolean;
   changes: number;
-  detector: Api.StepsOut["detector"];
-  /** The name of the detector that suggests boxes. */
-  measuredBy: string | null;
-  /** What a label records of this detector. */
-  suggestion: Api.Suggestion | null;
-  /** The reason why the detector could not be loaded. */
-  problem: string | null;
-  /** The reason why it suggests nothing. */
-  note: string | null;
   /** Whole boxes that are offered for the object as it was after so many changes, which one is shown, since when. */
   whole: { boxes: Api.WholeBoxJson[]; shown: number; changes: number; since: number } | null;
 };
 
-/** A dashed box on the image. */
-type Guess = { item: Item; image_box: Box2D; caption: string };
-
-/** The state that the files about the pseudo-views share. */
+/** What the files about the pseudo-views share. */
 interface Work {
+  app: ModeApp;
+  until: AbortSignal;
+  saver: Saver;
+  whole: WholeBoxes;
+  objects: ReturnType<typeof import("../../web_assets/js/annotate/objects.js").createObjects>;
+  /** Shows everything anew. */
+  show(): void;
+  /** Says why a detector suggests nothing. */
+  report(role: Api.DetectorKind, problem: string | null): void;
+  setKind(kind: Api.BoxKind): void;
+  /** To be called when an object is about to be stored. */
+  onStored(item: Item): void;
   items: Item[];
   /** The current object. */
   draft: Draft | null;
@@ -451,8 +458,6 @@ interface Work {
   notSaved: Item[];
   /** The boxes that the image detector found. */
   detections: Box2D[];
-  /** Resolves when the current object's views are loaded. */
-  loaded: Promise<void>;
   readonly isReadonly: boolean;
   /** What the boxes enclose. */
   readonly kind: Api.BoxKind;
@@ -473,8 +478,6 @@ type FrameChange<T = any> = {
   /** The change that is sent in its place if its track is taken; null: none. */
   instead?: (error: TrackTakenError, state: FrameState) => Promise<FrameChange<T> | null>;
   done?: (answer: T) => void;
-  /** The change is not sent before this resolves. */
-  after?: Promise<unknown>;
   item?: Item;
   /** Gives its boxes the new names of classes. */
   relabel?: (named: Naming) => void;
@@ -483,21 +486,17 @@ type FrameChange<T = any> = {
 /** Gives a box another class. */
 type Naming = <T extends ViewBox | undefined>(box: T) => T;
 
-/** A change whose content is determined only when it is sent; null: nothing to save. */
-type LaterChange = { item: Item; make: () => Promise<FrameChange | null> };
-type Waiting = (FrameChange | LaterChange) & { frame: number; made?: FrameChange | null };
-
-type AskSteps = (draft: Draft, suggest: boolean, signal: AbortSignal) => Promise<Api.StepsOut>;
+type Waiting = FrameChange & { frame: number };
 
 type Saver = ReturnType<typeof import("../../web_assets/js/annotate/saver.js").createSaver>;
-type StepLoader = ReturnType<typeof import("../../web_assets/js/annotate/draft.js").createStepLoader>;
-type Suggester = ReturnType<typeof import("../../web_assets/js/annotate/suggestions.js").createSuggester>;
 type WholeBoxes = ReturnType<typeof import("../../web_assets/js/annotate/suggestions.js").createWholeBoxes>;
 type Teach = ReturnType<typeof import("../../web_assets/js/annotate/teach.js").createTeach>;
 
 /** The parts of Annotate, which use each other once all are there; js/annotate/annotate.js makes them. */
 interface Annotate {
   app: ModeApp;
+  /** Ends the mode. */
+  until: AbortSignal;
   /** The elements of its panels. */
   parts: ReturnType<typeof import("../../web_assets/js/annotate/annotate.js").layout>;
   desk: Desk;
@@ -505,7 +504,7 @@ interface Annotate {
   opening: Opening;
   preload: ReturnType<typeof import("../../web_assets/js/annotate/preload.js").createPreload>;
   areas: ReturnType<typeof import("../../web_assets/js/annotate/areas.js").createAreas>;
-  picker: ReturnType<typeof import("../../web_assets/js/annotate/class_picker.js").createNextClass>;
+  picker: ReturnType<typeof import("../../web_assets/js/classes/picker.js").createNextClass>;
   sheet: ReturnType<typeof import("../../web_assets/js/annotate/sheet.js").createSheet>;
   tracks: ReturnType<typeof import("../../web_assets/js/annotate/tracks.js").createTracks>;
   follow: ReturnType<typeof import("../../web_assets/js/annotate/follow.js").createFollow>;
@@ -567,6 +566,8 @@ type NewLabel = {
   label: PageLabel;
   /** The box on the image in which it was found; null: it was placed in the top view. */
   image_box: (Rect & { label: string }) | null;
+  /** The frame on whose image that is. */
+  frame: number | null;
   /** The box that the detector found. */
   found: Box3D;
   actions: number;
@@ -574,6 +575,8 @@ type NewLabel = {
   sending: Promise<boolean> | null;
 };
 type QueueItem = Api.ItemJson;
+/** What is asked of the values of an attribute, as the server's query has it. */
+type ValueQuery = Partial<Record<"attribute" | "value" | "contains" | "low" | "high" | "known", string>>;
 type Queue = ReturnType<typeof import("../../web_assets/js/annotate/queue.js").createQueue>;
 /** A box of a frame, or without a uid the frame itself. */
 type Target = { frame: number; uid: string | null };
@@ -600,7 +603,9 @@ type PreviewBox = { uid: string; box: Box3D };
 /** `Api.SceneRequest`, with boxes as the page has them. */
 type Scene3D = Omit<Api.SceneRequest, "previews" | "draft" | keyof ViewportBar["settings"]> & {
   previews?: PreviewBox[];
-  draft?: (Omit<Api.DraftJson, "axes"> & { axes: Matrix | null }) | null;
+  draft?:
+    | (ReturnType<typeof import("../../web_assets/js/annotate/draft.js").drawnObject> & { box_kind: Api.BoxKind })
+    | null;
 };
 
 // -- other modes

@@ -3,14 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { ApiError } from "../../web_assets/js/errors.js";
-import {
-  carryBox,
-  createStepLoader,
-  demoteSecondStep,
-  drawnObject,
-  makeDraft,
-  takeSteps,
-} from "../../web_assets/js/annotate/draft.js";
+import { drawnObject, filledBoxes, makeDraft, suggestionsOf, takeSteps } from "../../web_assets/js/annotate/draft.js";
 import { objectChange } from "../../web_assets/js/annotate/objects.js";
 import * as items from "../../web_assets/js/annotate/items.js";
 import { createSaver, createSender } from "../../web_assets/js/annotate/saver.js";
@@ -66,53 +59,30 @@ test("the image boxes are exchanged one by one", () => {
   assert.equal(items.overlap(a, { ...a, label: "chair" }), 0);
 });
 
-test("a box is carried to a view of the same axes exactly, to a turned one as a guess, and to another one not", () => {
-  const moved = carryBox(box(10, 10, 30, 40), view("a"), view("b", [0.05, -0.1]));
-  assert.deepEqual(moved, { box: box(5, 20, 25, 50), isExact: true });
-  const [c, s] = [Math.cos(0.1), Math.sin(0.1)];
-  const turned = [
-    [c, 0, s],
-    [0, 1, 0],
-    [-s, 0, c],
-  ];
-  assert.equal(carryBox(box(10, 10, 30, 40), view("a"), view("b", [0, 0], turned)).isExact, false);
-  assert.equal(carryBox(box(10, 10, 30, 40), view("a"), view("b", [0, 0], SIDE_AXES)), null);
-  assert.equal(carryBox(box(10, 10, 30, 40), view("a"), view("b", [2, 0])), null, "it would lie outside");
-});
-
-test("boxes follow new views; those of the second step become guesses once the first step lacks a box", () => {
+test("an object has the boxes as they lie on its new views, and suggestions where none is drawn", () => {
   const draft = makeDraft(items.makeItem(box(0, 0, 9, 9)), 1);
   const first = [view("1"), view("2", [0, 0], SIDE_AXES)];
-  takeSteps(draft, answer([{ views: first, suggested: [box(1, 1, 5, 5), null] }]));
-  assert.deepEqual(draft.suggestions.map(Boolean), [true, false, false, false]);
+  takeSteps(draft, answer([{ views: first, drawn: [null, null], suggested: [box(1, 1, 5, 5), null] }]));
+  assert.deepEqual(suggestionsOf(draft).map(Boolean), [true, false, false, false]);
+  assert.deepEqual(filledBoxes(draft)[0], box(1, 1, 5, 5));
   draft.item.boxes = [box(10, 10, 30, 40), box(10, 10, 30, 40), box(1, 1, 5, 5), null];
-  draft.item.views[2] = view("3");
-  const again = [view("4", [0.05, 0]), view("5", [0, 0], SIDE_AXES)];
-  takeSteps(
-    draft,
-    answer([
-      { views: again, suggested: [null, null] },
-      { views: [view("6"), view("7")], suggested: [null, null] },
-    ]),
+  draft.item.views[2] = view("3", [0.2, 0]);
+  assert.deepEqual(
+    drawnObject(draft.item).planes.map((plane) => plane?.origin_m ?? null),
+    [[0, 0], [0, 0], [0.2, 0], null],
   );
-  assert.equal(draft.item.boxes[0].x_min, 5);
-  assert.equal(draft.steps.length, 1, "the answer's second step followed from the old positions");
-  demoteSecondStep(draft);
-  assert.deepEqual([draft.item.boxes[2], draft.kept[2], draft.suggestions[2]], [null, true, box(1, 1, 5, 5)]);
-  assert.deepEqual(drawnObject(draft).boxes.length, 2);
-});
-
-test("views are loaded again until they match the boxes, and a newer request replaces an older one", async () => {
-  const draft = makeDraft(items.makeItem(box(0, 0, 9, 9)), 1);
-  const answers = [held(), held(), held()];
-  let asked = 0;
-  const loader = createStepLoader(() => answers[asked++].promise);
-  const [older, newer] = [loader.load(draft, false), loader.load(draft, false)];
-  draft.item.boxes[0] = box(1, 1, 5, 5); // drawn before the answer
-  for (const each of answers) each.resolve(answer([{ views: [view("1"), view("2")], suggested: [null, null] }]));
-  assert.deepEqual(await Promise.all([older, newer]), [false, true]);
-  assert.equal(asked, 3);
-  assert.equal(draft.isLoading, false);
+  const again = [view("4", [0.05, 0]), view("5", [0, 0], SIDE_AXES)];
+  takeSteps(draft, answer([{ views: again, drawn: [box(5, 10, 25, 40), null], suggested: [null, box(2, 2, 6, 6)] }]));
+  assert.deepEqual(
+    draft.item.boxes,
+    [box(5, 10, 25, 40), null, box(1, 1, 5, 5), null],
+    "the third waits for its view",
+  );
+  assert.deepEqual(suggestionsOf(draft).map(Boolean), [false, true, false, false]);
+  assert.deepEqual(
+    drawnObject(draft.item).planes.map((plane) => plane?.origin_m ?? null),
+    [[0.05, 0], null, [0.2, 0], null],
+  );
 });
 
 // -- saving
@@ -176,7 +146,7 @@ test("a box whose class gets a new name while it is refused is sent again with t
     return frameState(revision + 1);
   });
   const draft = makeDraft(items.makeItem(box(0, 0, 9, 9)), 1);
-  saver.save(objectChange(draft, { after: Promise.resolve(), kind: () => "box", onDrawn() {} }));
+  saver.save(objectChange(draft, { kind: () => "box", onDrawn() {} }));
   await settled();
   saver.relabel({ person: "human" });
   refusal.reject(new ApiError(422, "ConfigError", "'person' is not a class"));

@@ -44,7 +44,7 @@ from annotator.project import (
     open_project,
 )
 from annotator.project.audit.events import as_one
-from annotator.project.changes import LabelChanged, Payload, StillMade, TracksLinked
+from annotator.project.changes import LabelChanged, Payload, StillMade, StillProposal, StillsProposed, TracksLinked
 from annotator.project.database.schema import AUDITED, columns_of
 from annotator.project.recordings import SharedCloud
 from annotator.project.records import BoxRecord
@@ -55,7 +55,7 @@ from annotator.types.errors import ConfigError, HistoryError, ProjectError, Stal
 
 BASED = (*(step for step in STEPS if step not in ("bring", "import", "span")), "values", "frame values")
 """Changes that are based on a revision of a frame."""
-KINDS = (*STEPS, "loose view", "link", "adjust", "values", "frame values", "classes", "pass")
+KINDS = (*STEPS, "loose view", "link", "adjust", "estimate", "values", "frame values", "classes", "pass")
 CAMERAS = {1: ["0", "1"], 2: ["0"]}
 """The keys of each recording's frames."""
 SMALL = st.integers(0, 3)
@@ -173,6 +173,13 @@ class TwoOperators(RuleBasedStateMachine):
                 found, share = [proposal_at(2.0 * n + 0.1 * b) for n in range(a)], RunShare(run.id, 1.0)
                 project.proposals.replace(frame.id, found, context, run=share, action=action)
             assert frame not in project.jobs.pending(run.key)
+        posed = next((frame for frame in project.frames.of() if not frame.finalised), None)
+        if posed is not None:
+            context = replace(by_machine(posed.revision), author=who, maker="rcv")
+            name, track_id = project.config.classes[0], project.labels.next_track_id(1)
+            new = [StillProposal(name, box_at(20.0 + n), track_id + n, 0.5, 0.2) for n in range(b % 2)]
+            removed = [each.uid for each in project.stills.of(1) if each.is_open]
+            project.log.append_to_frames([FramePart(posed.id, [StillsProposed(new, removed)], context)], action)
 
     @rule(who=PEOPLE, place=PLACE)
     def change_the_same(self, who: str, place: int) -> None:

@@ -150,11 +150,7 @@ export function table(
 ) {
   const head = heads.map((text, i) => h("th", { scope: "col", class: i ? "number right" : "" }, text));
   const row = (/** @type {string[]} */ [name, ...cells]) =>
-    h(
-      "tr",
-      h("th", { scope: "row" }, name),
-      cells.map((cell) => h("td.number.right", cell)),
-    );
+    h("tr", [h("th", { scope: "row" }, name), ...cells.map((cell) => h("td.number.right", cell))]);
   const shown = h("table.dense", { "data-testid": testid }, h("thead", h("tr", head)), h("tbody", rows.map(row)));
   return h("section.panel", h("header", h("h2", title)), h("div.scroll-x", shown));
 }

@@ -122,18 +122,17 @@ export async function askUnsaved(unsaved, look) {
 
 /** The key table. */
 export function keyTableDialog(/** @type {Keys} */ keys) {
-  /** @type {Map<string, import("./keys.js").KeyRow[]>} */
+  /** @type {Map<string, KeyRow[]>} */
   const groups = new Map();
   for (const row of keys.table) groups.set(row.group, [...(groups.get(row.group) ?? []), row]);
   const sections = [...groups].map(([group, rows]) =>
-    h(
-      "section",
+    h("section", [
       h("h3", group),
       h(
         "dl",
         rows.flatMap((row) => [h("dt", keyCaps(row)), h("dd", row.label)]),
       ),
-    ),
+    ]),
   );
   return openDialog({
     title: "Keys",
@@ -144,7 +143,7 @@ export function keyTableDialog(/** @type {Keys} */ keys) {
   });
 }
 
-function keyCaps(/** @type {import("./keys.js").KeyRow} */ row) {
+function keyCaps(/** @type {KeyRow} */ row) {
   const names = row.shown ?? row.keys;
   return names.flatMap((name, index) => [
     index > 0 && !row.shown ? " or " : " ",

@@ -9,8 +9,8 @@ const SVG = "http://www.w3.org/2000/svg";
  *
  * @template {string} T
  * @param {T} tag
- * @param {Attributes | Child | Child[]} [first] attributes, or the first child.
- * @param {...(Child | Child[])} children
+ * @param {Attributes | Children} [first] attributes, or the first child.
+ * @param {...Children} children
  * @returns {HTMLElementTagNameMap[TagOf<T, HTMLElementTagNameMap>]}
  */
 export function h(tag, first, ...children) {
@@ -22,8 +22,8 @@ export function h(tag, first, ...children) {
  *
  * @template {string} T
  * @param {T} tag
- * @param {Attributes | Child | Child[]} [first]
- * @param {...(Child | Child[])} children
+ * @param {Attributes | Children} [first]
+ * @param {...Children} children
  * @returns {SVGElementTagNameMap[TagOf<T, SVGElementTagNameMap>]}
  */
 export function s(tag, first, ...children) {
@@ -34,20 +34,22 @@ export function s(tag, first, ...children) {
 function fill(
   /** @type {Element} */ element,
   /** @type {string} */ tag,
-  /** @type {Attributes | Child | Child[]} */ first,
-  /** @type {(Child | Child[])[]} */ children,
+  /** @type {Attributes | Children} */ first,
+  /** @type {Children[]} */ children,
 ) {
   const names = tag.split(".").slice(1).join(" ");
   if (names) element.setAttribute("class", names);
   const isChild = first?.constructor !== Object;
   if (!isChild) for (const [name, value] of Object.entries(first)) setAttribute(element, name, value);
-  element.append(...present(isChild ? [/** @type {Child | Child[]} */ (first), ...children] : children));
+  element.append(...present(isChild ? [/** @type {Children} */ (first), ...children] : children));
   return element;
 }
 
-/** @returns {(Node | string)[]} */
-const present = (/** @type {(Child | Child[])[]} */ children) =>
-  children.flat().filter((child) => child !== null && child !== undefined && child !== false);
+/** The children that are there, out of their lists. @returns {(Node | string)[]} */
+const present = (/** @type {Children} */ children) => {
+  if (Array.isArray(children)) return children.flatMap(present);
+  return children === null || children === undefined || children === false ? [] : [children];
+};
 
 function setAttribute(
   /** @type {Element} */ element,
@@ -76,7 +78,7 @@ function listen(/** @type {Element} */ element, /** @type {string} */ type, /** 
  * focus, tooltips and open lists stay. The new element is then not shown: what a listener needs of it, it takes from the
  * event, and an element that somebody keeps needs a key of its own.
  */
-export function patch(/** @type {Element} */ host, /** @type {(Child | Child[])[]} */ ...children) {
+export function patch(/** @type {Element} */ host, /** @type {Children[]} */ ...children) {
   const left = [...host.childNodes];
   const nodes = present(children).map((child) => {
     const fresh = typeof child === "string" ? document.createTextNode(child) : child;
@@ -145,7 +147,7 @@ export function glyph(/** @type {keyof typeof GLYPHS} */ name) {
 /**
  * A button: button("Save", save, { class: "primary" }).
  *
- * @param {Child | Child[]} content
+ * @param {Children} content
  * @param {((event: MouseEvent) => unknown) | null} onclick
  * @param {Attributes} [more]
  */

@@ -9,19 +9,16 @@ import { messageOf } from "./errors.js";
  */
 export function createFrameProblem(host, { onRetry, onStep }) {
   const problem = h("p.error-box");
-  const root = h(
-    "div.frame-problem",
-    { role: "alert", hidden: true, "data-testid": "frame-problem" },
+  const root = h("div.frame-problem", { role: "alert", hidden: true, "data-testid": "frame-problem" }, [
     h("h3", "This frame cannot be shown"),
     problem,
     h("p.help", "Its saved boxes are safe. Solve the problem and try again, or go on with another frame."),
-    h(
-      "div.row",
+    h("div.row", [
       button("Try again", onRetry, { "data-testid": "frame-retry" }),
       button("Previous frame", () => onStep("previous"), { "data-testid": "frame-previous" }),
       button("Next frame", () => onStep("next"), { "data-testid": "frame-next" }),
-    ),
-  );
+    ]),
+  ]);
   host.append(root);
   return {
     show(/** @type {unknown} */ error) {

@@ -1,6 +1,6 @@
 /** Background jobs of the server: start, follow, stop. Several modes show them. */
 
-import { button, count, h } from "./dom.js";
+import { button, count, h, patch } from "./dom.js";
 import { errorBox, showProblem } from "./forms.js";
 
 /** What a kind of job is called in a sentence. @type {Record<Api.Job["kind"], string>} */
@@ -109,31 +109,14 @@ export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
   /** The job that imports what the one of this line has left out. */
   let rest = "";
   const current = () => app.state.jobs.find(({ id }) => id === rest) ?? find();
-  const text = h("span.grow", { "data-testid": `job-${kind}-text` });
-  const bar = h("progress", { max: 1, "aria-label": "Progress" });
-  const left = h("span.muted.number");
-  const stop = button("Stop", () => cancel(), { class: "danger", "data-testid": `stop-${kind}` });
-  const choose = button("Choose classes …", () => importRest(), { "data-testid": "choose-classes" });
-  const root = h("div.job-line", { "data-testid": `job-${kind}`, role: "status" }, text, bar, left, choose, stop);
+  const root = h("div.job-line", { "data-testid": `job-${kind}`, role: "status" });
 
-  async function importRest() {
-    const job = current();
-    const { importLeftOut } = await import("./start/class_choice.js");
-    const begun = job && (await importLeftOut(app, job));
+  async function importRest(/** @type {Api.Job} */ job) {
+    const { importLeftOut } = await import("./start/boxes_file.js");
+    const begun = await importLeftOut(app, job);
     if (!begun) return;
     rest = begun.id;
     takeJob(app, begun);
-  }
-
-  async function cancel() {
-    const job = current();
-    if (!job) return;
-    stop.disabled = true;
-    try {
-      await app.api.post(`/api/jobs/${job.id}/cancel`);
-    } finally {
-      stop.disabled = false;
-    }
   }
 
   function show() {
@@ -141,19 +124,28 @@ export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
     root.hidden = !job;
     if (!job) return;
     root.dataset.state = job.state;
-    text.textContent = describe(job, app.state.jobs);
     // boxes of classes that the project does not have are no success
     const { unknown = {}, recordings } = /** @type {ImportResult} */ (job.result ?? {});
     const classes = Object.keys(unknown);
     const hasLeftOut = classes.length > 0;
-    if (hasLeftOut && recordings)
-      text.prepend(`Left out: the boxes of ${classes.join(", ")}, which the project does not have as classes. `);
-    text.className = `grow${job.state === "failed" ? " bad" : hasLeftOut ? " warn" : ""}`;
-    choose.hidden = !hasLeftOut || !recordings;
-    stop.hidden = !isActive(job);
-    bar.hidden = !isActive(job);
+    const leftOut = `Left out: the boxes of ${classes.join(", ")}, which the project does not have as classes. `;
+    const look = job.state === "failed" ? "bad" : hasLeftOut ? "warn" : "";
+    const bar = h("progress", { max: 1, "aria-label": "Progress" });
     showProgress(bar, job);
-    left.textContent = job.state === "running" && job.eta_s !== null ? `about ${duration(job.eta_s)} left` : "";
+    const stop = () => app.api.post(`/api/jobs/${job.id}/cancel`);
+    patch(
+      root,
+      h("span", { class: `grow ${look}`, "data-testid": `job-${kind}-text` }, [
+        hasLeftOut && recordings && leftOut,
+        describe(job, app.state.jobs),
+      ]),
+      isActive(job) && bar,
+      job.state === "running" && job.eta_s !== null && h("span.muted.number", `about ${duration(job.eta_s)} left`),
+      hasLeftOut &&
+        recordings &&
+        button("Choose classes …", () => importRest(job), { "data-key": "rest", "data-testid": "choose-classes" }),
+      isActive(job) && button("Stop", stop, { class: "danger", "data-key": "stop", "data-testid": `stop-${kind}` }),
+    );
   }
 
   /** @type {() => unknown} */

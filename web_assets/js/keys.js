@@ -11,15 +11,6 @@
 
 import { leaveField } from "./dom.js";
 
-/**
- * @typedef {object} KeyRow
- * @property {string} id
- * @property {string[]} keys
- * @property {string[]} [shown] what the table shows in place of `keys`.
- * @property {string} label
- * @property {string} group
- */
-
 /** The group whose keys work in all modes; the others are those of Annotate. */
 const EVERYWHERE = "Everywhere";
 /** What happens again and again while its key is held down. */
@@ -38,7 +29,7 @@ export const KEYS = [
     ["previous-frame", ["P", "PageUp"], "Previous frame"],
     ["go-to-frame", ["Ctrl+G"], "Go to a frame by its number"],
     ["next-camera", ["K"], "Next camera of this moment: first those that see the selected object, the best first"],
-    ["previous-camera", ["Shift+K"], "Previous camera of this moment", ["Shift", "K"]],
+    ["previous-camera", ["Shift+K"], "Previous camera of this moment"],
     ["timeline", ["L"], "Fold and unfold the timeline"],
     ["next-box", ["Tab"], "Next box"],
     ["previous-box", ["Shift+Tab"], "Previous box"],
@@ -51,7 +42,7 @@ export const KEYS = [
       ["Alt", "its key"],
     ],
     ["turn", ["F"], "Turn the 3D box: it faces the other way"],
-    ["turn-quarter", ["Shift+F"], "Turn its heading by 90°; length and width are swapped", ["Shift", "F"]],
+    ["turn-quarter", ["Shift+F"], "Turn its heading by 90°; length and width are swapped"],
     ["delete", ["Delete", "Backspace"], "Delete", ["Del"]],
     ["cancel", ["Escape"], "Cancel the drag, then deselect"],
     ["finalise", ["Ctrl+Enter"], "Finalise the frame"],
@@ -76,19 +67,19 @@ export const KEYS = [
   ]),
   ...rows("Tracks", [
     ["follow", ["V"], "Follow this reviewed or new box through the recording"],
-    ["follow-back", ["Shift+V"], "Follow it backward", ["Shift", "V"]],
+    ["follow-back", ["Shift+V"], "Follow it backward"],
     ["follow-all", ["J"], "Follow all reviewed boxes of this frame"],
-    ["follow-all-back", ["Shift+J"], "Follow them backward", ["Shift", "J"]],
+    ["follow-all-back", ["Shift+J"], "Follow them backward"],
     ["sheet", ["S"], "Contact sheet of this object's track"],
-    ["copy-next", ["Shift+C"], "Copy this box to the next frame", ["Shift", "C"]],
+    ["copy-next", ["Shift+C"], "Copy this box to the next frame"],
     ["track-split", ["E"], "Split the track here: from this frame on, it gets a new number"],
-    ["track-merge", ["Shift+M"], "Merge the track with another one", ["Shift", "M"]],
+    ["track-merge", ["Shift+M"], "Merge the track with another one"],
     ["track-class", digits("Shift+"), "Class of the whole track", ["Shift", "1", "…", "9"]],
     ["track-size", ["Z"], "One size for the whole track"],
     ["track-fill", ["I"], "Fill the track's gaps beside this box"],
     ["track-delete", ["Shift+Delete", "Shift+Backspace"], "Delete the track from this frame on", ["Shift", "Del"]],
-    ["next-of-track", ["Shift+N"], "Next frame of this object", ["Shift", "N"]],
-    ["previous-of-track", ["Shift+P"], "Previous frame of this object", ["Shift", "P"]],
+    ["next-of-track", ["Shift+N"], "Next frame of this object"],
+    ["previous-of-track", ["Shift+P"], "Previous frame of this object"],
   ]),
   ...rows("View", [
     ["areas", ["Q"], "The main place for the next area: image, 3D view, object"],
@@ -97,7 +88,7 @@ export const KEYS = [
     ["points-smaller", ["-"], "Smaller points"],
     ["look-box", ["O"], "3D view: look at the selected box, and turn around it (or double-click it)"],
     ["hide-ground", ["H"], "3D view: hide the ground"],
-    ["unlabelled", ["U"], "3D view: highlight what nobody labelled"],
+    ["unlabelled", ["U"], "Highlight what nobody labelled; again: box the next of it"],
     ["fit", ["0", "Home"], "Fit the pictures to their panels"],
   ]),
   ...rows("2D boxes", [

@@ -81,7 +81,7 @@ export function angleBetween(/** @type {Matrix} */ a, /** @type {Matrix} */ b) {
  * @param {Vector | null} up the scene's up direction in the camera frame; null if it is unknown: then the
  *     picture's.
  */
-function sceneAxes(up) {
+export function sceneAxes(up) {
   const z = unit(up ?? [0, -1, 0]);
   const level = (/** @type {Vector} */ direction) => subtract(direction, scale(z, dot(z, direction)));
   const ahead = level([0, 0, 1]);

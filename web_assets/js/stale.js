@@ -27,15 +27,13 @@ export function askVersion({ theirs, mine, name }) {
     wide: true,
     required: true,
     content: [
-      h(
-        "p",
+      h("p", [
         "By another operator, or in another tab. Your last change was made on an older version and is not saved yet: choose.",
-      ),
-      h(
-        "div.versions",
+      ]),
+      h("div.versions", [
         version("Saved version", picture(theirs, null), h("p.help", counts)),
         version("Your version", picture(theirs, mine), bullets(mine.text, { class: "help" })),
-      ),
+      ]),
     ],
     actions: [
       { label: "Keep theirs", value: "theirs", kind: "" },
@@ -50,33 +48,21 @@ const version = (/** @type {string} */ title, /** @type {Node[]} */ ...content) 
 /** A small image of a frame with its boxes; `mine`, if given, is drawn over it. */
 function picture(/** @type {FrameState} */ state, /** @type {Mine | null} */ mine) {
   const { url, width, height } = state.image;
-  const unit = width / 400;
-  const lines = (/** @type {Line[]} */ outline, /** @type {string} */ stroke, /** @type {number} */ thick) => {
-    const d = (outline ?? []).map(([a, b]) => `M${a.join(" ")}L${b.join(" ")}`).join("");
-    return s("path", { d, fill: "none", stroke, "stroke-width": thick * unit });
-  };
-  return s(
-    "svg.picture",
-    {
-      viewBox: `-0.5 -0.5 ${width} ${height}`,
-      role: "img",
-      "aria-label": mine ? "Your version" : "The saved version",
-    },
+  const pen = (/** @type {string} */ stroke, /** @type {number} */ thick) => ({
+    fill: "none",
+    stroke,
+    "stroke-width": (thick * width) / 400,
+  });
+  const rect = (/** @type {Rect} */ { x_min: x, y_min: y, x_max, y_max }, /** @type {object} */ look) =>
+    s("rect", { x, y, width: x_max - x, height: y_max - y, ...look });
+  const lines = (/** @type {Line[]} */ outline, /** @type {object} */ look) =>
+    s("path", { d: (outline ?? []).map(([a, b]) => `M${a.join(" ")}L${b.join(" ")}`).join(""), ...look });
+  const label = mine ? "Your version" : "The saved version";
+  return s("svg.picture", { viewBox: `-0.5 -0.5 ${width} ${height}`, role: "img", "aria-label": label }, [
     s("image", { href: url, x: -0.5, y: -0.5, width, height }),
-    (state.image_boxes?.boxes ?? []).map((box) => lines(sides(box), "#ffffff", 1)),
-    state.labels.map((label) => lines(label.outline, STATE_COLORS[label.state], 1)),
-    (mine?.boxes ?? []).map((box) => lines(sides(box), MINE, 2)),
-    (mine?.outlines ?? []).map((outline) => lines(outline, MINE, 2)),
-  );
-}
-
-/** @returns {Line[]} */
-function sides(/** @type {Rect} */ { x_min, y_min, x_max, y_max }) {
-  const corners = [
-    [x_min, y_min],
-    [x_max, y_min],
-    [x_max, y_max],
-    [x_min, y_max],
-  ];
-  return corners.map((corner, i) => [corner, corners[(i + 1) % 4]]);
+    (state.image_boxes?.boxes ?? []).map((box) => rect(box, pen("#ffffff", 1))),
+    state.labels.map((label) => lines(label.outline, pen(STATE_COLORS[label.state], 1))),
+    (mine?.boxes ?? []).map((box) => rect(box, pen(MINE, 2))),
+    (mine?.outlines ?? []).map((outline) => lines(outline, pen(MINE, 2))),
+  ]);
 }

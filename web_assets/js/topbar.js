@@ -6,18 +6,9 @@
 import { confirm, keyTableDialog } from "./dialogs.js";
 import { button, h, iconButton, patch } from "./dom.js";
 import { isActive, NAMES, OF_START, showProgress, waiting } from "./jobs.js";
-import { makeHash } from "./router.js";
+import { makeHash, MODES } from "./router.js";
 import { signOut } from "./session.js";
 import { createWhere, WITH_FRAME } from "./where.js";
-
-const TABS = [
-  ["annotate", "Annotate"],
-  ["train", "Train"],
-  ["export", "Export"],
-  ["statistics", "Statistics"],
-  ["checks", "Checks"],
-  ["alignment", "Alignment"],
-];
 
 export function mountTopbar(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
   const logo = h("img", { src: "/assets/icon.svg", alt: "" });
@@ -41,7 +32,8 @@ function tabs(/** @type {App} */ app) {
     project.textContent = name;
     project.title = name;
     const frame = app.state.frame?.frame.id ?? null;
-    const links = TABS.map(([mode, label]) => {
+    const links = MODES.map((mode) => {
+      const label = `${mode[0].toUpperCase()}${mode.slice(1)}`;
       const href = makeHash(name, mode, WITH_FRAME.has(mode) ? frame : null);
       return h("a", { href, "aria-current": mode === current ? "page" : null, "data-testid": `mode-${mode}` }, label);
     });
@@ -54,19 +46,15 @@ function tabs(/** @type {App} */ app) {
 }
 
 function history(/** @type {App} */ app) {
-  const undo = iconButton("undo", "", () => app.undo(), { "data-testid": "undo" });
-  const redo = iconButton("redo", "", () => app.redo(), { "data-testid": "redo" });
-  const box = h("div.row", { role: "group", "aria-label": "History" }, undo, redo);
+  const box = h("div.row", { role: "group", "aria-label": "History" });
   const show = () => {
     box.hidden = app.state.route.project === null;
     const known = app.state.frame?.history;
-    for (const [step, verb, key, what] of /** @type {const} */ ([
-      [undo, "Undo", "Ctrl+Z", known?.undo],
-      [redo, "Redo", "Ctrl+Shift+Z", known?.redo],
-    ])) {
-      entitle(step, `${verb}${what ? `: ${what}` : ""} (${key})`);
-      step.disabled = known !== undefined && !what;
-    }
+    const step = (/** @type {"undo" | "redo"} */ id, /** @type {string} */ verb, /** @type {string} */ key) => {
+      const label = `${verb}${known?.[id] ? `: ${known[id]}` : ""} (${key})`;
+      return iconButton(id, label, () => app[id](), { disabled: known && !known[id], "data-testid": id });
+    };
+    patch(box, step("undo", "Undo", "Ctrl+Z"), step("redo", "Redo", "Ctrl+Shift+Z"));
   };
   app.state.on("route", show);
   app.state.on("frame", show);

@@ -321,6 +321,8 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
       return state;
     },
     graphics,
+    look,
+    showUnlabelled: bar.showUnlabelled,
     /** Puts the view into the page, until `detach`. */
     attach(/** @type {HTMLElement} */ host, /** @type {ViewportUser} */ by) {
       user = by;

@@ -157,10 +157,16 @@ export function createViewportBar(on) {
       only.disabled = !hasSelection && !settings.only_selected;
     },
 
+    /** Lets what nobody labelled stand out, or no longer; returns whether that is a change. */
+    showUnlabelled(/** @type {boolean} */ on) {
+      const isChange = on !== (settings.color === "unlabelled");
+      if (isChange) setColor(on ? "unlabelled" : usualColor);
+      return isChange;
+    },
+
     keys: {
       "look-box": () => on.look("focus"),
       "hide-ground": toggleGround,
-      unlabelled: () => setColor(settings.color === "unlabelled" ? usualColor : "unlabelled"),
       "points-larger": () => resize(1.25),
       "points-smaller": () => resize(0.8),
     },

@@ -10,17 +10,6 @@ import { placeNow } from "./timeline/reading.js";
 
 export const WITH_FRAME = new Set(["annotate", "alignment"]);
 
-/**
- * A row of a chooser.
- *
- * @typedef {object} Choice
- * @property {string} name
- * @property {number | null} frame the frame to go to.
- * @property {boolean} isCurrent
- * @property {string} note
- * @property {number | null} [done] share of its boxes that are reviewed.
- */
-
 export function createWhere(/** @type {App} */ app) {
   const { state } = app;
   /** The frame that was open last, by project and recording. @type {Map<string, number>} */

@@ -20,6 +20,8 @@ from annotator.project.changes import (
     ProposalsReplaced,
     StillEnded,
     StillMade,
+    StillProposal,
+    StillsProposed,
     TracksLinked,
     ViewBoxesRemoved,
     ViewBoxesSet,
@@ -71,6 +73,11 @@ def make(write: Write, payload: Payload) -> None:
             _remove(write, payload.uid)
         case StillMade():
             _make_still(write, payload)
+        case StillsProposed():
+            for uid in payload.removed:
+                write.put("stills", uid, None)
+            for each in payload.new:
+                _propose_still(write, each)
         case FrameAttributesSet():
             of_frames = [each for each in write.terms.attributes if each.of is AttributeOf.FRAME]
             row = _frame(write)
@@ -206,7 +213,7 @@ def _replace_proposals(write: Write, payload: ProposalsReplaced) -> None:
         _create(write, each, payload.run)
     if payload.run is not None and write.frame_id is not None and (frame := write.row("frames", write.frame_id)):
         write.put("frames", write.frame_id, frame | {"run_id": payload.run})
-    found = [(write.class_id(each.label), each.score, write.box_json(each.box)) for each in payload.found]
+    found = [(write.class_id(each.label), each.score, write.box_json(each.box), each.edges) for each in payload.found]
     write.found = json.dumps(found, separators=(",", ":"))
 
 
@@ -285,6 +292,15 @@ def _make_still(write: Write, payload: StillMade) -> None:
     _remove(write, payload.uid)
     still = {"uid": payload.still, "rig_id": write.rig_id, "track_id": row["track_id"], "box": box}
     write.put("stills", payload.still, {name: row[name] for name in STILL_COLUMNS} | still)
+
+
+def _propose_still(write: Write, new: StillProposal) -> None:
+    row = new_label(write, "", new.label, box_kind=new.box_kind.value, state=ReviewState.PROPOSED.value)
+    values = new_values(write.terms.attributes_of(new.label), _of_track(write, new.track_id), {})
+    still: Row = {"uid": new.uid, "rig_id": write.rig_id, "track_id": new.track_id, "attributes": values_json(values)}
+    still |= {"score": new.score, "expected_iou_loss": new.expected_iou_loss}
+    still["box"] = write.terms.world_json(BoxRecord.of(new.box), write.frame_id)
+    write.put("stills", new.uid, {name: row[name] for name in STILL_COLUMNS} | still)
 
 
 def _with_values(

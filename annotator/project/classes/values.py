@@ -11,7 +11,7 @@ from sqlalchemy import Connection, Select, select
 from annotator.project.classes.attributes import MEASURED, Attribute, AttributeOf, fitting
 from annotator.project.database.schema import frames, labels
 from annotator.project.recordings import of_rig
-from annotator.project.rows import Terms, stored_said, values_of
+from annotator.project.rows import Terms, still_of, stored_said, values_of
 from annotator.types import ReviewState
 from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue
@@ -150,6 +150,12 @@ class ValueReader:
 # --- values that a proposal gets from the boxes behind it -------------------------------------------------------------
 # The shown box of an object keeps its own values. It lacks those that only another source gave, so these are lent to
 # it, until that source says otherwise. A value that is the default says nothing, whoever has it.
+
+
+def is_open_still(row: Mapping[str, Any], terms: Terms) -> bool:
+    """Whether a label is the proposal of an object that stands still, which a pass replaces."""
+    is_open = row["state"] == ReviewState.PROPOSED.value and still_of(row["uid"]) is not None
+    return is_open and not is_kept(row, terms)
 
 
 def own_values(row: Mapping[str, Any]) -> Values:

@@ -270,7 +270,7 @@ CREATE TABLE adjustments (
 )
 """
 # What the latest automatic pass over a frame has found, also where a reviewed label covers it, as JSON: lists of the id
-# of the class, the score, and the box in the frame of the cloud.
+# of the class, the score, the box in the frame of the cloud, and the edges of its image box (`Proposal.edges`).
 _PASSES = """
 CREATE TABLE passes (
     frame_id INTEGER PRIMARY KEY REFERENCES frames (id),
@@ -357,7 +357,8 @@ _INDEXES = (
 
 # --- version 2: objects that stand still ------------------------------------------------------------------------------
 # frames.world: T_world_cloud, as `pose`: from the frame of the cloud to the world of the rig; NULL = not known. Read
-# from the frame that names the moment. classes.still: objects of the class stand still; NULL = nobody has said so.
+# from the frame that names the moment. recorded_world: the same, as the recording says it; poses may be estimated.
+# classes.still: objects of the class stand still; NULL = nobody has said so.
 
 # A track of a rig (its first recording) that stands still: one box, in the frame of the world.
 _STILLS = """
@@ -366,10 +367,12 @@ CREATE TABLE stills (
     rig_id INTEGER NOT NULL REFERENCES recordings (id),
     track_id INTEGER NOT NULL,
     class_id INTEGER NOT NULL REFERENCES classes (id),
-    state TEXT NOT NULL CHECK (state IN ('accepted', 'edited', 'rejected')),
+    state TEXT NOT NULL CHECK (state IN ('proposed', 'accepted', 'edited', 'rejected')),
     source TEXT NOT NULL CHECK (source IN ('manual', 'auto', 'imported')),
     box_kind TEXT NOT NULL CHECK (box_kind IN ('box', 'silhouette')),
     values_set BOOLEAN NOT NULL CHECK (values_set IN (0, 1)),
+    score REAL,
+    expected_iou_loss REAL,
     author TEXT NOT NULL,
     time_ns INTEGER NOT NULL,
     box TEXT NOT NULL,
@@ -395,6 +398,14 @@ CREATE TABLE sightings (
     place TEXT
 )
 """
+# Where the camera of a recording was, by its frames: estimated poses, as JSON (`estimates.py`). A rig has one such row.
+_ESTIMATES = """
+CREATE TABLE estimates (
+    recording_id INTEGER PRIMARY KEY REFERENCES recordings (id),
+    poses TEXT NOT NULL,
+    event_id INTEGER NOT NULL REFERENCES events (id)
+)
+"""
 _SIGHTING_KEYS = (("moment", "_id"), ("frame", "_id"), ("still", ""))
 # The labels of still objects, where the moment has no row of the track: that is the exception there, or, rejected, says
 # that it is not visible. SQLite opens up the union in a query only if the columns have the same affinities. With `+` it
@@ -402,9 +413,9 @@ _SIGHTING_KEYS = (("moment", "_id"), ("frame", "_id"), ("still", ""))
 _SHOWN_STILLS = """
 CREATE VIEW shown_stills AS
 SELECT CAST(-sightings.id AS INTEGER) AS id, sightings.uid, sightings.frame_id, sightings.moment_id, stills.class_id,
-sightings.hidden, stills.state, stills.source, CAST(NULL AS REAL) AS score, stills.track_id,
+sightings.hidden, stills.state, stills.source, stills.score, stills.track_id,
 CAST(0 AS BOOLEAN) AS track_linked, CAST(NULL AS REAL) AS view_disagreement, CAST(NULL AS REAL) AS kept_share,
-CAST(NULL AS REAL) AS last_change, CAST(NULL AS REAL) AS image_agreement, CAST(NULL AS REAL) AS expected_iou_loss,
+CAST(NULL AS REAL) AS last_change, CAST(NULL AS REAL) AS image_agreement, stills.expected_iou_loss,
 stills.box_kind, stills.values_set, CAST(NULL AS INTEGER) AS run_id, CAST('still' AS TEXT) AS origin,
 CAST(NULL AS TEXT) AS of_source, CAST(NULL AS TEXT) AS behind, stills.author, stills.time_ns, stills.box,
 CAST(NULL AS TEXT) AS proposed_box, stills.attributes, CAST(NULL AS TEXT) AS image_box,
@@ -440,9 +451,11 @@ MIGRATIONS: tuple[Migration, ...] = (
     ),
     (
         "ALTER TABLE frames ADD COLUMN world TEXT",
+        "ALTER TABLE frames ADD COLUMN recorded_world TEXT",
         "ALTER TABLE classes ADD COLUMN still BOOLEAN CHECK (still IN (0, 1))",
         _STILLS,
         _SIGHTINGS,
+        _ESTIMATES,
         "CREATE UNIQUE INDEX one_still_a_track ON stills (rig_id, track_id) WHERE state <> 'rejected'",
         *(f"CREATE INDEX sightings_of_{of} ON sightings ({of}{id})" for of, id in _SIGHTING_KEYS),
         "DROP VIEW shown_labels",

@@ -184,9 +184,9 @@ class Beside(Schema):
 
 
 @router.get("/api/projects/{name}/first-frame")
-def first_frame(at: AtProject, recording: RowId | None = None) -> int | None:
-    """The first frame of the project, or of a recording."""
-    return at.project.frames.first(recording)
+def first_frame(at: AtProject) -> int | None:
+    """The first frame of the project."""
+    return at.project.frames.first()
 
 
 @router.get("/api/projects/{name}/frames/{frame_id}/beside")

@@ -4,6 +4,7 @@ axes, refitting, fitting to an image box, copying; the queue, statistics and che
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 import numpy as np
@@ -20,7 +21,6 @@ from annotator.web.context import AtProject
 from annotator.web.frame_json import STALE, AtFrame, InFrame, drawn_view
 from annotator.web.schemas import (
     MOST_BOXES,
-    Axes,
     Box2DJson,
     Box3DJson,
     ClassName,
@@ -28,6 +28,7 @@ from annotator.web.schemas import (
     FrameStateJson,
     ImageBoxIn,
     Outline,
+    Planes,
     QualityJson,
     Schema,
     Uid,
@@ -38,7 +39,7 @@ from annotator.workflows.checking.project_labels import CheckReport, check_proje
 from annotator.workflows.detectors import ReportedStatistics, reported_statistics
 from annotator.workflows.importing.boxes_3d import MOST_NAME
 from annotator.workflows.workbench.contact_sheet import ortho_views
-from annotator.workflows.workbench.drawing_steps import Labelling, frame_config, label_object
+from annotator.workflows.workbench.drawing_steps import VIEWS_PER_STEP, Labelling, frame_config, label_object
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import Readiness
 from annotator.workflows.workbench.refit import FoundBox, find_box, next_unlabelled, place_box, place_on_ground, refit
@@ -126,26 +127,25 @@ def place(at: AtFrame, body: PlaceIn) -> FitOut:
 
 
 class UnlabelledIn(Schema):
-    """The class of an object that nobody has labelled, and the distance of the last one that was offered, metres."""
+    """The distance of the last thing that was offered, metres."""
 
-    label: ClassName
     beyond: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
 
 
 class UnlabelledOut(FitOut):
-    """A fitted box, and how far away its object is, metres."""
+    """A box, the class that its thing seems to have (null if none has a usual size), and how far away it is, metres."""
 
+    label: str | None
     distance: float
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/unlabelled")
 def unlabelled(at: AtFrame, body: UnlabelledIn) -> UnlabelledOut:
-    """Fit a box to the next thing that this camera sees and that is in no box, the nearest first. Nothing is stored."""
-    opened, config, ready = _ready(at)
+    """Box the next thing that this camera sees and that is in no box, the nearest first. Nothing is stored."""
+    opened, config, _ = _ready(at)
     boxes = [each.box for each in at.project.labels.of_frame(at.frame_id) if each.state is not ReviewState.REJECTED]
-    classes = at.project.config.classes
-    found, distance_m = next_unlabelled(opened, boxes, body.beyond, body.label, classes, config, ready.detector)
-    return UnlabelledOut.of(_fitted(at, found, ready), distance=distance_m)
+    found, label, distance_m = next_unlabelled(opened, boxes, body.beyond, at.project.config.classes, config)
+    return UnlabelledOut.of(_fitted(at, found, Readiness("none")), label=label, distance=distance_m)
 
 
 def _fitted(at: InFrame, found: FoundBox, ready: Readiness) -> FitOut:
@@ -272,16 +272,10 @@ ViewBoxesIn = Annotated[list[Box2DJson | None], Field(max_length=4)]
 
 
 class DrawnIn(ImageBoxIn):
-    """An object with the boxes drawn so far.
-
-    `axes` are those of the second step's front view (`ViewJson`); null while no box is drawn on that step.
-    """
+    """An object with the boxes drawn so far, and the planes of the views on which they were drawn."""
 
     boxes: ViewBoxesIn
-    axes: Axes | None = None
-
-    def drawn(self) -> list[Box2D | None]:
-        return [None if box is None else box.box() for box in self.boxes]
+    planes: Planes = ()
 
 
 class StepsIn(DrawnIn):
@@ -292,9 +286,10 @@ class StepsIn(DrawnIn):
 
 
 class StepJson(Schema):
-    """The front and side view of a step, and the boxes that are suggested on those without a drawn one."""
+    """The front and side view of a step, the boxes drawn there, and those suggested where none is drawn."""
 
     views: list[ViewJson]
+    drawn: list[Box2DJson | None]
     suggested: list[Box2DJson | None]
 
 
@@ -370,19 +365,21 @@ def _labelled(
     """The state of a drawn object, and that of the view detector that suggests its boxes."""
     ready = at.ctx.caches.detectors.readiness(at.project, DetectorKind.VIEW, LOADING_WAIT_S if suggest else 0.0)
     detector = ready.detector if suggest else None
-    axes = None if body.axes is None else np.array(body.axes)
-    return label_object(at.project, opened, body.image_box.box(), body.drawn(), kind, axes, detector), ready
+    drawn = [None if box is None else box.box() for box in body.boxes]
+    planes = [None if plane is None else plane.geometry() for plane in body.planes]
+    return label_object(at.project, opened, body.image_box.box(), drawn, kind, planes, detector), ready
 
 
 def _steps_json(at: InFrame, opened: OpenFrame, labelling: Labelling, ready: Readiness) -> StepsOut:
-    detector = ready.detector
+    detector, size = ready.detector, VIEWS_PER_STEP
     return StepsOut(
         steps=[
             StepJson(
                 views=[drawn_view(at, view, opened.picture(view)) for view in step.views],
-                suggested=[None if box is None else Box2DJson.of(box) for box in step.suggested],
+                drawn=_boxes_json(labelling.drawn[size * number : size * (number + 1)]),
+                suggested=_boxes_json(step.suggested),
             )
-            for step in labelling.steps
+            for number, step in enumerate(labelling.steps)
         ],
         box=None if labelling.box is None else Box3DJson.of(labelling.box),
         outline=None if labelling.box is None else labelling.outline.round(2).tolist(),
@@ -394,6 +391,10 @@ def _steps_json(at: InFrame, opened: OpenFrame, labelling: Labelling, ready: Rea
         problem=at.ctx.public(ready.problem),
         note=at.ctx.public(labelling.note),
     )
+
+
+def _boxes_json(boxes: Sequence[Box2D | None]) -> list[Box2DJson | None]:
+    return [None if box is None else Box2DJson.of(box) for box in boxes]
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/label/whole")
@@ -432,7 +433,7 @@ def save(at: AtFrame, body: SaveIn) -> SaveOut:
     drawn = answer = None
     if given is not None:
         labelling, ready = _labelled(at, opened, given, body.box_kind)
-        drawn = ObjectDrawn(given.image_box.box(), given.drawn(), labelling, given.uid, given.suggestion)
+        drawn = ObjectDrawn(given.image_box.box(), labelling, given.uid, given.suggestion)
         answer = _steps_json(at, opened, labelling, ready)
     with at.change(body):
         image_boxes, context = [box.box() for box in body.image_boxes], body.context(at.operator, body.subject)

@@ -22,7 +22,7 @@ from annotator.types import BoxKind, Label, OrientedBox, ReviewState
 from annotator.types.errors import NotFoundError
 from annotator.web.background import Periodic
 from annotator.web.context import Ctx, Operator
-from annotator.web.schemas import MOST_BOXES, Axes, Box2DJson, Box3DJson, ClassName, RowId, Schema, Uid
+from annotator.web.schemas import MOST_BOXES, Box2DJson, Box3DJson, ClassName, Planes, RowId, Schema, Uid
 from annotator.web.viewport.drawing import MOST_POINTS, Ahead, Draft, Gizmo, PointColor, SceneContent, ShownBox, pick
 from annotator.web.viewport.faces import moved_face
 from annotator.web.viewport.guides import Look
@@ -235,12 +235,12 @@ class OpenedViewport(Schema):
 
 
 class DraftJson(Schema):
-    """An object that is being labelled: its box on the image, the drawn or suggested boxes on its views, and the axes
-    of the second step's front view."""
+    """An object that is being labelled: its box on the image, the drawn or suggested boxes on its views, and the planes
+    of these."""
 
     image_box: Box2DJson
     boxes: Annotated[tuple[Box2DJson | None, ...], Field(max_length=4)] = ()
-    axes: Axes | None = None
+    planes: Planes = ()
     box_kind: BoxKind = BoxKind.SILHOUETTE
 
 
@@ -376,6 +376,6 @@ def _draft(project: Project, opened: OpenFrame, body: DraftJson) -> Draft:
     """The draft with the views of its present step, which are cached since the page has requested them before."""
     image_box = body.image_box.box()
     drawn = [None if box is None else box.box() for box in body.boxes]
-    axes = None if body.axes is None else np.array(body.axes)
-    labelling = label_object(project, opened, image_box, drawn, body.box_kind, axes, None)
+    planes = [None if plane is None else plane.geometry() for plane in body.planes]
+    labelling = label_object(project, opened, image_box, drawn, body.box_kind, planes, None)
     return Draft(image_box, labelling.steps[-1].views if labelling.steps else (), labelling.box)

@@ -26,11 +26,11 @@ from annotator.types import BoxKind, Source
 from annotator.types.errors import ConfigError, FinalisedFrameError, HistoryError, ProjectError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.runner import Engine, InlineEngine, failure
+from annotator.workflows.proposing.still_votes import AUTHOR, vote_stills
 from annotator.workflows.proposing.tasks import FrameAnswer, FrameSpec, Task, pickle_exactly
 from annotator.workflows.recorded.adjusting import learn_up
 from annotator.workflows.tracks.propose_boxes import followed_tracks, seeds_of
 
-AUTHOR = "rcv"  # of proposals
 # Attempts to write a frame that is changed concurrently.
 WRITE_ATTEMPTS = 5
 
@@ -42,6 +42,7 @@ class AnnotateSummary:
     Attributes:
         skipped: frames left out: done before with the same detectors and settings, or finalised.
         backends: of the image and the view detector, e.g. ("openvino", "openvino").
+        still: objects that stand still, each one proposal in place of those of the frames.
         learned: messages on up directions that reviewed boxes gave (`learn_up`).
     """
 
@@ -50,6 +51,7 @@ class AnnotateSummary:
     done: int = 0
     proposals: int = 0
     without: int = 0
+    still: int = 0
     failed: list[tuple[str, str]] = field(default_factory=list)
     seconds: float = 0.0
     backends: tuple[str, ...] = ()
@@ -124,6 +126,12 @@ class Batch:
                 # An operator has changed the frame. Proposals replace only unreviewed ones, so trying again is safe.
                 if attempt == WRITE_ATTEMPTS:
                     raise
+
+    def vote(self, recordings: Sequence[int] | None = None) -> None:
+        """Proposes what stands still once for all frames, after a pass over recordings (None = all)."""
+        if self.summary.done:
+            chosen = [each.id for each in self.project.recordings.all()] if recordings is None else recordings
+            self.summary.still = vote_stills(self.project, chosen, self.author, self.action, self.box_kind)
 
     def _require_unadjusted(self, recording_id: int) -> None:
         """Refuses results that were found before the recording's cloud was moved, or its up direction changed."""
@@ -214,6 +222,7 @@ def annotate_with(
         engine.close()
         raise
     project.jobs.finish(run.id)
+    batch.vote(recordings)
     batch.summary.seconds = time.perf_counter() - begin
     return batch.summary
 

@@ -27,8 +27,9 @@ from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.importing.pictures import checked_images, read_pictures
 from annotator.workflows.importing.placing import OwnClasses
 from annotator.workflows.importing.report import Become, ImportReport, Note
-from annotator.workflows.proposing.annotate import AUTHOR, AnnotateSummary, Batch
+from annotator.workflows.proposing.annotate import AnnotateSummary, Batch
 from annotator.workflows.proposing.runner import failure
+from annotator.workflows.proposing.still_votes import AUTHOR
 from annotator.workflows.proposing.tasks import FrameAnswer
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
@@ -199,6 +200,7 @@ def lift(
         if progress is not None:
             progress(done, len(frames))
     project.jobs.finish(run.id)
+    batch.vote(sorted({frame.recording_id for frame in frames}))
     batch.summary.seconds = time.perf_counter() - begin
     return batch.summary
 

@@ -23,7 +23,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeGuard
 
@@ -33,6 +33,7 @@ from jaxtyping import Float64
 from annotator.geometry.oriented_box import box_corners, canonical_box
 from annotator.geometry.outline import visible_edges
 from annotator.project import Project, StoredFrame, ViewBoxes
+from annotator.project.records import ViewGeometry
 from annotator.rcv.axes import camera_axes, match_axes
 from annotator.rcv.config import MIN_POINTS, RcvConfig
 from annotator.rcv.interval_fit import fit_box
@@ -125,6 +126,7 @@ def _around(
 
 
 Boxes = Sequence[Box2D | None]
+Planes = Sequence[ViewGeometry | None]
 Axes = Float64[np.ndarray, "3 3"]
 Fit = Callable[[Sequence[Span]], FoundBox]
 """Finds an object's 3D box from its box on the image and what the boxes drawn on its views span."""
@@ -160,6 +162,7 @@ class Labelling:
         outline: (k, 2, 2) its visible edges on the image, pixels.
         points: number of points in the box; in the frustum while there is no box.
         stop: why no further step is possible, or None.
+        drawn: the drawn boxes on these views; None where none is drawn.
     """
 
     steps: tuple[Step, ...]
@@ -168,6 +171,7 @@ class Labelling:
     points: int
     stop: str | None
     note: str | None = None
+    drawn: tuple[Box2D | None, ...] = ()
 
     @property
     def views(self) -> tuple[PseudoView, ...]:
@@ -215,7 +219,7 @@ def label_object(
     image_box: Box2D,
     boxes: Boxes,
     kind: BoxKind,
-    axes: Axes | None,
+    planes: Planes,
     detector: ReadyDetector | None,
 ) -> Labelling:
     """As `label_steps` with the project's settings; a detector that fails gives a note instead of suggestions."""
@@ -224,7 +228,7 @@ def label_object(
         settings = frame_config(project, opened.frame, detector, kind, kind)
         fit = partial(_fit_or_note, opened, image_box, settings, detector)
     config = label_config(project, opened.frame)
-    return label_steps(opened, image_box, boxes, config, kind, axes=axes, fit=fit)
+    return label_steps(opened, image_box, boxes, config, kind, planes=planes, fit=fit)
 
 
 def _fit_or_note(
@@ -248,6 +252,7 @@ def label_steps(
     kind: BoxKind = BoxKind.SILHOUETTE,
     *,
     axes: Axes | None = None,
+    planes: Planes = (),
     fit: Fit | None = None,
 ) -> Labelling:
     """Computes the state of an object from the boxes drawn so far.
@@ -256,16 +261,23 @@ def label_steps(
         boxes: on the first step's front and side view, then on the second's; None for a box not drawn yet.
         config: as `label_config` returns it.
         kind: what the boxes measure.
-        axes: rows = axes of the second step's front view, if a box was drawn on that step; None = not decided yet.
+        axes: rows = axes of the second step's front view, if a box was drawn on that step; None = those of `planes`, or
+            else not decided yet.
+        planes: of the views that the boxes were drawn on. An image box or an earlier box may have changed since: then
+            a box keeps its place in metres, and is gone if its view has other axes or does not show it any more.
         fit: suggests boxes; None = no suggestions.
     """
     if len(boxes) > MAX_BOXES:
         raise ConfigError(f"an object has {MAX_BOXES} boxes on its views, not {len(boxes)}")
     drawn = [*boxes, *[None] * (MAX_BOXES - len(boxes))]
+    planes = [*planes, *[None] * (MAX_BOXES - len(planes))]
+    if axes is None:
+        axes = _front_axes(planes[2:])
     up = held_direction(opened.frame.up, config)
     first = opened.views((image_box.xyxy, config), lambda frame: first_views(frame, image_box, config))
     if first is None:
         return _labelling(opened, (), None, f"fewer than {MIN_POINTS} points lie in this box's frustum")
+    drawn[:2] = _placed(first, drawn[:2], planes[:2])
     known = _spans(first, drawn[:2])
     found = fit(known) if fit is not None and None in drawn else None
     on_first = suggested_boxes(opened, first, drawn[:2], image_box, None if found is None else found.box, kind)
@@ -273,7 +285,7 @@ def label_steps(
     note = None if found is None else found.note
     filled = _filled(drawn[:2], on_first)
     if not _are_both(filled):
-        return _labelling(opened, tuple(steps), None, None, note)
+        return _labelling(opened, tuple(steps), None, None, note, drawn)
     box = cross_box(first, filled, up)
     if axes is None and found is not None and found.box is not None:
         axes = match_axes(found.box.rotation.T, camera_axes(up))
@@ -281,7 +293,8 @@ def label_steps(
     key = (image_box.xyxy, *(b.xyxy for b in filled), None if axes is None else axes.tobytes(), config)
     second = opened.views(key, lambda frame: next_views(frame, image_box, spans, config, axes))
     if second is None:
-        return _labelling(opened, tuple(steps), box, f"fewer than {MIN_POINTS} points lie in both boxes", note)
+        return _labelling(opened, tuple(steps), box, f"fewer than {MIN_POINTS} points lie in both boxes", note, drawn)
+    drawn[2:] = _placed(second, drawn[2:], planes[2:])
     drawn_there = _spans(second, drawn[2:])
     if fit is not None and len(drawn_there) == 1:
         found = fit([*known, *drawn_there])
@@ -291,7 +304,38 @@ def label_steps(
     last = _filled(drawn[2:], on_second)
     if _are_both(last):
         box = final_box((*first, *second), (*filled, *last), up, kind)
-    return _labelling(opened, tuple(steps), box, None, note if found is None else found.note)
+    return _labelling(opened, tuple(steps), box, None, note if found is None else found.note, drawn)
+
+
+def _front_axes(planes: Planes) -> Axes | None:
+    """The axes of a step's front view (rows), from those of either of its views; None if both are unknown."""
+    front, side = planes
+    if front is not None:
+        return np.array(front.axes)
+    return None if side is None else np.array(side.axes)[[2, 1, 0]] * [[-1.0], [1.0], [1.0]]
+
+
+def _placed(views: Views, boxes: Boxes, planes: Planes) -> list[Box2D | None]:
+    """Boxes at the same place in metres on these views as on the planes that they were drawn on."""
+    return [
+        box if box is None or plane is None else _placed_on(view, box, plane)
+        for view, box, plane in zip(views, boxes, planes, strict=True)
+    ]
+
+
+def _placed_on(view: PseudoView, box: Box2D, plane: ViewGeometry) -> Box2D | None:
+    if not np.allclose(plane.axes, view.axes, atol=1e-6):
+        return None
+    if plane.metres_per_px == view.metres_per_px and np.array_equal(plane.origin_m, view.origin_m):
+        return box
+    edges = np.array([[box.x_min, box.x_max], [box.y_min, box.y_max]])
+    moved = view.box_px(np.array(plane.origin_m)[:, None] + edges * plane.metres_per_px, box.label)
+    height_px, width_px = view.rgb.shape[:2]
+    x_min, x_max = np.clip([moved.x_min, moved.x_max], -0.5, width_px - 0.5)
+    y_min, y_max = np.clip([moved.y_min, moved.y_max], -0.5, height_px - 0.5)
+    if min(x_max - x_min, y_max - y_min) < MIN_SIDE_PX / 2:
+        return None
+    return replace(moved, x_min=float(x_min), y_min=float(y_min), x_max=float(x_max), y_max=float(y_max))
 
 
 def _spans(views: Views, boxes: Boxes) -> list[Span]:
@@ -329,13 +373,19 @@ def final_box(
 
 
 def _labelling(
-    opened: OpenFrame, steps: tuple[Step, ...], box: OrientedBox | None, stop: str | None, note: str | None = None
+    opened: OpenFrame,
+    steps: tuple[Step, ...],
+    box: OrientedBox | None,
+    stop: str | None,
+    note: str | None = None,
+    drawn: Boxes = (),
 ) -> Labelling:
+    drawn = tuple(drawn[: VIEWS_PER_STEP * len(steps)])
     if box is None:
         points = len(steps[0].views[0].xyz_m) if steps else 0
-        return Labelling(steps, None, np.zeros((0, 2, 2)), points, stop, note)
+        return Labelling(steps, None, np.zeros((0, 2, 2)), points, stop, note, drawn)
     outline = visible_edges(opened.frame.camera, [box])[0]
-    return Labelling(steps, box, outline, opened.points_in(box), stop, note)
+    return Labelling(steps, box, outline, opened.points_in(box), stop, note, drawn)
 
 
 # Frames whose drawn objects are kept; one object takes some 200 kB.

@@ -24,7 +24,6 @@ from jaxtyping import Float64
 from scipy import ndimage
 
 from annotator.geometry.ground import ground_axes
-from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import aligned_box, box_corners, canonical_box, contains, tightest_box
 from annotator.geometry.outline import NEAR_M, box_on_image, visible_edges
 from annotator.geometry.projection import in_frustum, project, thin, undistort_px
@@ -223,32 +222,24 @@ def place_on_ground(
 # by side, so many times as wide as the ground is thick, is one thing if it has so many points. What is so many times
 # longer or higher than the largest class is a building, and no object; of unknown classes, this long, metres.
 RIM_M, STANDING_CELLS, LEAST_OF_THING, BUILDING, LONGEST_M = 0.1, 2.0, 20, 1.5, 12.0
-# 3D IoU with what stands there, below which the detector has measured something else.
-SAME_THING = 0.25
 
 
 def next_unlabelled(
-    opened: OpenFrame,
-    boxes: Iterable[OrientedBox],
-    beyond_m: float,
-    label: str,
-    classes: Iterable[str],
-    config: RcvConfig,
-    detector: Detector | None,
-) -> tuple[FoundBox, float]:
-    """The nearest thing in the camera's sight that stands on the ground in no box, and how far away it is, metres.
+    opened: OpenFrame, boxes: Iterable[OrientedBox], beyond_m: float, classes: Iterable[str], config: RcvConfig
+) -> tuple[FoundBox, str | None, float]:
+    """The nearest thing in the camera's sight that stands on the ground in no box, its class, and its distance, metres.
 
     Args:
         boxes: what is labelled, camera frame.
         beyond_m: only what is farther away.
-        label: the class with which the detector measures it.
-        classes: those of the project, which tell how large an object may be.
+        classes: those of the project: it gets the one whose typical size is the most like what is seen, if any has one.
     """
-    frame, ground = opened.frame, opened.ground
-    known = (*config.typical_sizes, *config.reviewed_sizes)
-    sizes = [typical_size(name, known) for name in classes]
-    most_m = BUILDING * max((max(size.size_m) if size else LONGEST_M for size in sizes), default=LONGEST_M)
-    highest_m = BUILDING * max((size.size_m[2] if size else LONGEST_M for size in sizes), default=LONGEST_M)
+    frame, ground, known = opened.frame, opened.ground, (*config.typical_sizes, *config.reviewed_sizes)
+    typical = {name: typical_size(name, known) for name in classes}
+    # length, width, height
+    sizes_m = {name: _ordered(np.array(size.size_m)) for name, size in typical.items() if size is not None}
+    every_m = np.array([sizes_m.get(name, np.full(3, LONGEST_M)) for name in typical])
+    most_m, _, highest_m = BUILDING * every_m.max(axis=0, initial=0.0)
     xyz_m, above_m = frame.cloud.xyz_m, ground.above_m(frame.cloud.xyz_m)
     stands = (above_m > ground.thickness_m) & (above_m < highest_m)
     for each in boxes:
@@ -260,24 +251,46 @@ def next_unlabelled(
     filled[tuple(cells.T)] = True
     thing = ndimage.label(filled, np.ones((3, 3)))[0][tuple(cells.T)]
     order = np.flatnonzero(stands)[np.argsort(thing, kind="stable")]
-    found: list[tuple[float, OrientedBox]] = []
-    for points in np.split(order, np.cumsum(np.bincount(thing))[:-1]) if len(order) else ():
+    for points in sorted(
+        np.split(order, np.cumsum(np.bincount(thing))[:-1]) if len(order) else (),
+        key=lambda points: float(np.linalg.norm(xyz_m[points].mean(axis=0))) if len(points) else 0.0,
+    ):
         if len(points) < LEAST_OF_THING or np.ptp(level[points], axis=0).max() > most_m:
             continue
+        distance_m = float(np.linalg.norm(xyz_m[points].mean(axis=0)))
         # down to the ground
         feet_m = xyz_m[points] - above_m[points, None] * ground.axes[2]
-        distance_m = float(np.linalg.norm(feet_m.mean(axis=0)))
-        if distance_m > beyond_m:
-            both_m = np.concatenate([xyz_m[points], feet_m]).astype(np.float64)
-            found.append((distance_m, tightest_box(both_m, yaw_grid(ground.axes[2]), ground.axes[2])))
-    for distance_m, box in sorted(found, key=lambda each: each[0]):
+        both_m = np.concatenate([xyz_m[points], feet_m]).astype(np.float64)
+        box = canonical_box(tightest_box(both_m, yaw_grid(ground.axes[2]), ground.axes[2]), ground.axes[2])
         (u, v) = project(frame.camera, box.center_m[None])[0]
-        if 0 <= u < frame.camera.width_px and 0 <= v < frame.camera.height_px:
-            box = canonical_box(box, ground.axes[2])
-            fitted = refit(opened, box, label, config, detector)
-            is_same = fitted.box is not None and iou_3d(fitted.box, box) >= SAME_THING
-            return fitted if is_same else _result(opened, box, None, None), distance_m
-    return not_found("nothing else stands here that nobody has labelled"), beyond_m
+        if distance_m <= beyond_m or not (0 <= u < frame.camera.width_px and 0 <= v < frame.camera.height_px):
+            continue
+        unlike = {name: _unlike(box, size_m) for name, size_m in sizes_m.items()}
+        label = min(unlike, key=lambda name: float(unlike[name].min()), default=None)
+        if label is not None:
+            box = canonical_box(_grown(box, sizes_m[label], int(unlike[label].argmin())), ground.axes[2])
+        return _result(opened, box, None, None), label, distance_m
+    return not_found("nothing else stands here that nobody has labelled"), None, beyond_m
+
+
+def _ordered(size_m: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3"]:
+    return np.array([size_m[:2].max(), size_m[:2].min(), size_m[2]])
+
+
+def _unlike(box: OrientedBox, size_m: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "2"]:
+    """How much the longer side that is seen differs from a length, and from a width; each with the height."""
+    return np.abs(np.log(box.size_m[0] / size_m[:2])) + abs(np.log(box.size_m[2] / size_m[2]))
+
+
+def _grown(box: OrientedBox, size_m: Float64[np.ndarray, "3"], seen: int) -> OrientedBox:
+    """A box around what is seen, as long and wide as its class: the hidden sides are those away from the camera.
+
+    Args:
+        seen: 0 if its longer side is the object's length, 1 if it is the width.
+    """
+    more_m = np.maximum(np.array([size_m[seen], size_m[1 - seen], 0.0]) - box.size_m, 0.0)
+    away = np.sign(box.center_m @ box.rotation)
+    return OrientedBox.from_parts(box.center_m + box.rotation @ (away * more_m / 2), box.rotation, box.size_m + more_m)
 
 
 def _found(

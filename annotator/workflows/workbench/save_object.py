@@ -24,7 +24,6 @@ from annotator.workflows.views import changes_kind, geometry_of, image_follower,
 from annotator.workflows.workbench.drawing_steps import (
     MAX_BOXES,
     VIEWS_PER_STEP,
-    Boxes,
     Labelling,
     label_config,
     label_steps,
@@ -80,13 +79,11 @@ class ObjectDrawn:
     """An object with the boxes drawn so far.
 
     Attributes:
-        boxes: on its views, as for `label_steps`.
         uid: of the object's label, or None while it has none.
         suggestion: the detector that suggested boxes, if the operator accepted any.
     """
 
     image_box: Box2D
-    boxes: Boxes
     labelling: Labelling
     uid: str | None = None
     suggestion: Suggestion | None = None
@@ -158,7 +155,7 @@ def _view_boxes(
     """
     known = {view.view_id: view.boxes[1:] for view in page.view_boxes if view.box_kind is kind}
     events = []
-    for place, (view, box) in enumerate(zip(drawn.labelling.views, drawn.boxes, strict=False)):
+    for place, (view, box) in enumerate(zip(drawn.labelling.views, drawn.labelling.drawn, strict=True)):
         if box is None:
             continue
         view_id = project.views.store(opened.picture(view))
@@ -187,7 +184,7 @@ def _label_change(
     changed and are complete: its present box may be a correction. Otherwise only its class and image box are updated.
     """
     labelling = drawn.labelling
-    is_complete = len(labelling.views) == len(drawn.boxes) == 2 * VIEWS_PER_STEP and None not in drawn.boxes
+    is_complete = len(labelling.views) == 2 * VIEWS_PER_STEP and None not in labelling.drawn
     measured = labelling.box if is_complete else None
     uid = _label_uid(page, drawn)
     name, image_box, suggestion = drawn.image_box.label, drawn.image_box, drawn.suggestion

@@ -438,7 +438,26 @@ def test_frames_are_changed_finalised_and_shown_with_their_problem(
 
 
 def test_stale_and_failed_edits_are_neither_lost_nor_forced(desk: Desk, wait_for) -> None:
+    page, items = desk.page, desk.page.get_by_test_id("queue-item")
+    # a decision that cannot be saved is shown again, though the queue's next frame is shown meanwhile
+    page.get_by_test_id("queue-order").select_option("time")
+    expect(page.get_by_test_id("frame-position")).to_have_text("1 / 5")
+    desk.settled()
+    left = items.count()
+    for _ in range(len(desk.project.labels.of_frame(desk.frame)) - 1):
+        desk.press("Space")
+        left -= 1
+        expect(items).to_have_count(left)
+        desk.settled()
     frame, uid, before = desk.frame, desk.uid, desk.label.box
+    refuse(page, "changes")
+    with page.expect_event("requestfailed", lambda request: request.url.endswith(f"/frames/{frame}/changes")):
+        desk.press("Space")
+    page.locator(f'[data-testid="frame-box"][data-uid="{uid}"][aria-current="true"]').wait_for()
+    expect(items).to_have_count(left)
+    desk.settled()
+    assert (desk.frame, desk.uid, desk.label.state) == (frame, uid, ReviewState.PROPOSED)
+    page.unroute("**/changes")
     for choice, decide in (("theirs", desk.project.labels.accept), ("mine", desk.project.labels.reject)):
         # a change that is not announced to the page
         decide(frame, uid, WriteContext(desk.project.frames.get(frame).revision, "Bob"))
@@ -454,7 +473,7 @@ def test_stale_and_failed_edits_are_neither_lost_nor_forced(desk: Desk, wait_for
         desk.settled()
         expect(desk.page.get_by_test_id("label-state")).to_have_text(wanted.value)
     # a box that could not be saved stays until it is saved or discarded, and the page asks before it leaves it
-    page, here = desk.page, desk.page.url
+    here = page.url
     refuse(page, "changes")
     desk.press("Shift+F")
     expect(page.get_by_test_id("not-saved")).to_contain_text("Not saved")

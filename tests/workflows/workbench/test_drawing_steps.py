@@ -21,6 +21,7 @@ from annotator.project.changes import LabelChanged
 from annotator.project.labels import Labels
 from annotator.project.overview import read_page
 from annotator.project.progress.reviewed import draft_id
+from annotator.project.records import ViewGeometry
 from annotator.rcv.known_objects import Span
 from annotator.rcv.teach import TaughtObject
 from annotator.recordings import open_recording
@@ -71,7 +72,7 @@ class Desk:
 
     def object(self, image_box: Box2D, boxes: Sequence[Box2D | None], uid: str | None = None) -> ObjectDrawn:
         labelling = label_steps(self.opened, image_box, boxes, self.config, self.kind)
-        return ObjectDrawn(image_box, boxes, labelling, uid)
+        return ObjectDrawn(image_box, labelling, uid)
 
     def fit(self, found: OrientedBox | None, asked: list[Sequence[Span]]) -> Fit:
         """Answers with the same 3D box each time, and records the spans that it was asked with."""
@@ -231,7 +232,7 @@ def test_without_a_found_object_the_reason_is_told_and_boxes_can_be_drawn(desk: 
 def test_a_detector_that_fails_leaves_drawing_possible(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
     broken = Mock(labels=("person",), fingerprint="broken", detect=Mock(side_effect=RuntimeError("secret")))
     detector = ReadyDetector(broken, BoxKind.SILHOUETTE, Lock())
-    found = label_object(desk.project, desk.opened, desk.image_box(), [], desk.kind, None, detector)
+    found = label_object(desk.project, desk.opened, desk.image_box(), [], desk.kind, (), detector)
     assert len(found.views) == 2 and found.note == "internal error, see the server's log"
     assert "secret" in caplog.text
 
@@ -313,6 +314,30 @@ def test_an_object_keeps_its_label_when_its_image_box_moves(desk: Desk) -> None:
     (stored,) = desk.project.labels.select()
     assert stored.image_box == moved
     assert stored.label.state is ReviewState.EDITED
+
+
+def test_boxes_keep_their_place_on_the_views_of_a_moved_image_box(desk: Desk) -> None:
+    image_box, four = desk.image_box(), desk.four()
+    before = desk.steps(four)
+    planes = [ViewGeometry.of(view) for view in before.views]
+    x_min, y_min, x_max, y_max = image_box.xyxy
+    moved = Box2D("person", x_min - 30, y_min - 2, x_max + 30, y_max + 2)
+    after = label_steps(desk.opened, moved, four, desk.config, desk.kind, planes=planes)
+    assert [view.metres_per_px for view in after.views] != [view.metres_per_px for view in before.views]
+    for old, new, was, now in zip(before.views, after.views, four, after.drawn, strict=True):
+        assert now is not None and now.xyxy != was.xyxy
+        np.testing.assert_allclose(new.interval_m(now), old.interval_m(was), atol=1e-9)
+    assert before.box is not None and after.box is not None
+    assert same_box(before.box, after.box)
+    # the second step has the axes of its boxes, also if only the side is drawn
+    side = label_steps(
+        desk.opened, moved, [*four[:2], None, four[3]], desk.config, planes=[*planes[:2], None, planes[3]]
+    )
+    np.testing.assert_allclose(side.views[2].axes, planes[2].axes, atol=1e-9)
+    # a box is gone from a view with other axes, or outside what it shows
+    turned = planes[0].model_copy(update={"axes": planes[1].axes})
+    far = planes[1].model_copy(update={"origin_m": (99.0, 0.0)})
+    assert label_steps(desk.opened, moved, four[:2], desk.config, planes=[turned, far]).drawn == (None, None)
 
 
 def test_changing_the_class_keeps_a_corrected_box(desk: Desk) -> None:

@@ -45,7 +45,7 @@ from annotator.workflows.workbench.contact_sheet import (
     views_of_points,
 )  # fmt: skip
 from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.refit import place_box, place_on_ground, refit
+from annotator.workflows.workbench.refit import next_unlabelled, place_box, place_on_ground, refit
 from annotator.workflows.workbench.save_object import copy_boxes
 
 
@@ -356,6 +356,15 @@ def test_a_box_is_placed_on_the_ground_and_turned_like_what_stands_there(opened:
     assert found.box is not None and found.note is None
     np.testing.assert_allclose(found.box.center_m, [1.1, camera_height_m - 0.75, 12.1], atol=0.02)
     assert abs(found.box.rotation[:, 0] @ turn.apply([0.0, 0.0, 1.0])) > np.cos(np.radians(3))
+    # it is also what nobody has labelled, until it is, or was passed over
+    classes = ["pedestrian", "zorb"]
+    seen, label, distance_m = next_unlabelled(OpenFrame(frame), [], 0.0, classes, config)
+    true = OrientedBox.from_parts(middle_m, turn.as_matrix()[:, [2, 0, 1]] * [1, -1, -1], size_m)
+    assert seen.box is not None and iou_3d(seen.box, true) > 0.9 and label == "zorb"
+    assert abs(distance_m - np.linalg.norm(middle_m)) < 0.5
+    for boxes, beyond_m, names in (([true], 0.0, classes), ([], 13.0, classes), ([], 0.0, ["pedestrian"])):
+        none = next_unlabelled(OpenFrame(frame), boxes, beyond_m, names, config)[0]
+        assert none.box is None and none.note == "nothing else stands here that nobody has labelled"
     empty = replace(frame, cloud=PointCloud(points[: len(ground)]))
     alone = place_on_ground(OpenFrame(empty), point_m, "zorb", config, None).box
     assert alone is not None and abs(alone.rotation[:, 0] @ (point_m / np.linalg.norm(point_m))) > 0.999

@@ -159,11 +159,10 @@ const panel = (
   /** @type {string} */ effect,
   /** @type {string} */ testid,
 ) =>
-  h(
-    "section.panel",
+  h("section.panel", [
     h("header", h("h2", title)),
     h("div.body.stack", parts, h("div.row.wrap", buttons), h("p.help", { "data-testid": testid }, effect)),
-  );
+  ]);
 
 /**
  * A slider with a field for its number; both change together.
@@ -185,11 +184,10 @@ function slider(testid, label, { most, step, unit }, value, change) {
   const typed = document.activeElement;
   const isTyped = typed instanceof HTMLInputElement && typed.dataset.testid === field.dataset.testid;
   field.value = isTyped && typed.valueAsNumber === value ? typed.value : value.toFixed(Math.round(-Math.log10(step)));
-  return h(
-    "div.slider",
+  return h("div.slider", [
     h("span", label),
     h("input", { ...limits, value, "aria-label": label, "data-testid": testid, oninput }),
     field,
     h("span.muted", unit),
-  );
+  ]);
 }

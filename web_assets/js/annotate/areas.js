@@ -26,9 +26,22 @@ const BORDERS = [
   ["numbers", { text: "Width of the numbers", axis: "x", track: 3, side: -1, others: [1, 2] }],
 ];
 
+/** What the browser has kept, as far as it is one. */
+export function readAreas() {
+  try {
+    return Object.fromEntries(
+      Object.entries(JSON.parse(localStorage.getItem(KEPT) ?? "{}") ?? {}).filter(([name, value]) =>
+        name === "main" ? ORDER.includes(value) : /^[\d.]+%$/.test(value),
+      ),
+    );
+  } catch {
+    return {};
+  }
+}
+
 export function createAreas(/** @type {HTMLElement} */ root) {
   /** The area in the main place, and the sizes that were set, percent of the whole. @type {Record<string, string>} */
-  const kept = { main: ORDER[0], ...JSON.parse(localStorage.getItem(KEPT) ?? "{}") };
+  const kept = { main: ORDER[0], ...readAreas() };
   root.append(...BORDERS.map(handleOf));
   show();
 

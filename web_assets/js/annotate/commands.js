@@ -20,6 +20,12 @@ const sentence = (/** @type {string} */ text) => `${text[0].toUpperCase()}${text
 export function createCommands(/** @type {Annotate} */ at) {
   const { app, desk, queue, opening } = at;
   let isPlacing = false;
+  /**
+   * The box of what nobody labelled that was offered last, and how far away it is.
+   *
+   * @type {{ frame: number | null, beyond: number, uid: string | null }}
+   */
+  let standing = { frame: null, beyond: 0, uid: null };
   /** How often what was refused was shown again. */
   let refused = 0;
   /** The cameras to which a key went for the selected box. @type {{ uid: string | null, seen: Set<number> }} */
@@ -185,7 +191,6 @@ export function createCommands(/** @type {Annotate} */ at) {
   async function fitDrawn(/** @type {Box2D} */ box) {
     if (at.teach.isOn) return at.teach.draw(box);
     const { id } = currentFrame(app).frame;
-    /** @type {Api.FitOut} */
     const answer = await app.api.post(app.path("frames", id, "fit"), { image_box: box });
     const { note, box: fitted, too_few_points, ...facts } = answer;
     if (app.state.frame?.frame.id !== id || !at.parts.root.isConnected)
@@ -200,21 +205,39 @@ export function createCommands(/** @type {Annotate} */ at) {
   }
 
   /** A box of the next class is placed where the top view was clicked. */
-  async function placeAt(/** @type {Vector} */ point) {
+  const placeAt = (/** @type {Vector} */ point) => offer("place", { point, label: at.picker.label });
+
+  /** Adds a box of the next class that the server finds; returns its answer, or null if the frame was left. */
+  async function offer(/** @type {"place" | "unlabelled"} */ what, /** @type {object} */ body) {
     // not twice by a double click
-    if (!canDraw() || isPlacing) return;
+    if (!canDraw() || isPlacing) return null;
     isPlacing = true;
     const { id } = currentFrame(app).frame;
     try {
-      /** @type {Api.FitOut} */
-      const answer = await app.api.post(app.path("frames", id, "place"), { point, label: at.picker.label });
-      const { box, note, too_few_points: _, ...facts } = answer;
-      if (app.state.frame?.frame.id !== id || !at.parts.root.isConnected) return;
-      if (box) desk.add({ ...facts, box, label: at.picker.label, image_box: null });
+      /** @type {Api.FitOut & Partial<Api.UnlabelledOut>} */
+      const answer = await app.api.post(app.path("frames", id, what), body);
+      const { box, note, too_few_points: _, distance: __, label, ...facts } = answer;
+      if (app.state.frame?.frame.id !== id || !at.parts.root.isConnected) return null;
+      // one that was offered before, and not taken
+      if (what === "unlabelled" && desk.shown?.isNew && desk.uid === standing.uid) desk.drop(desk.uid);
+      if (box) desk.add({ ...facts, box, label: label ?? at.picker.label, image_box: null });
       else app.toast(sentence(note ?? "nothing was placed"), "warn");
+      return answer;
     } finally {
       isPlacing = false;
     }
+  }
+
+  /** Lets what nobody labelled stand out; then offers a box of the next of it, the nearest first. */
+  async function nextUnlabelled() {
+    if (app.viewport.showUnlabelled(true)) return;
+    const { id } = currentFrame(app).frame;
+    const { beyond } = standing.frame === id ? standing : { beyond: 0 };
+    const answer = await offer("unlabelled", { beyond });
+    if (answer === null) return;
+    standing = { frame: id, beyond: answer.box ? (answer.distance ?? 0) : 0, uid: answer.box ? desk.uid : null };
+    if (answer.box) app.viewport.look("focus");
+    else app.viewport.showUnlabelled(false);
   }
 
   async function copy() {
@@ -228,16 +251,8 @@ export function createCommands(/** @type {Annotate} */ at) {
     if (!app.state.frame) return;
     const { frame } = app.state.frame;
     const left = desk.labels().filter(isOpen).length;
-    if (
-      !frame.finalised &&
-      left > 0 &&
-      !(await confirm(
-        "Finalise the frame",
-        `${count(left, "proposal")} of this frame ${left === 1 ? "is" : "are"} not reviewed yet.`,
-        "Finalise anyway",
-      ))
-    )
-      return;
+    const text = `${count(left, "proposal")} of this frame ${left === 1 ? "is" : "are"} not reviewed yet.`;
+    if (!frame.finalised && left > 0 && !(await confirm("Finalise the frame", text, "Finalise anyway"))) return;
     if (await desk.finalise(!frame.finalised))
       app.toast(frame.finalised ? "The frame is reopened." : "The frame is finalised.", "good");
   }
@@ -317,6 +332,7 @@ export function createCommands(/** @type {Annotate} */ at) {
     "follow-all-back": () => at.follow.start("backward", null),
     "copy-next": () => at.tracks.copyToNext(),
     sheet: () => at.sheet.show(),
+    unlabelled: nextUnlabelled,
     "next-of-track": () => at.tracks.step(1),
     "previous-of-track": () => at.tracks.step(-1),
     "next-camera": nextCamera,

@@ -5,44 +5,46 @@ import { button, count, h, leaveField, patch } from "../dom.js";
 import { jumpText } from "../heading_mark.js";
 import { OWN } from "./queue.js";
 
-/** A number of a box's centre or size, metres. */
-const metres = (/** @type {"center" | "size"} */ key, /** @type {number} */ i, least = -Infinity) => ({
-  ...{ unit: "m", step: 0.01, digits: 3 },
-  get: (/** @type {Box3D} */ box) => box[key][i],
-  set: (/** @type {Box3D} */ box, /** @type {number} */ value) => ({
-    ...box,
-    [key]: box[key].with(i, Math.max(value, least)),
-  }),
-});
-/** An angle of a box. */
-const degrees = (/** @type {keyof Angles} */ name) => ({
-  ...{ unit: "°", step: 1, digits: 1 },
-  get: (/** @type {Box3D} */ box, /** @type {Vector | null} */ up) => anglesDeg(box, up)[name],
-  set: (/** @type {Box3D} */ box, /** @type {number} */ value, /** @type {Vector | null} */ up) =>
-    withAnglesDeg(box, up, { ...anglesDeg(box, up), [name]: value }),
-});
-/**
- * The numbers of a box, in groups: test id, name, help, and how it is read and written.
- *
- * @type {Record<string, [string, string, string, ReturnType<typeof metres> | ReturnType<typeof degrees>][]>}
- */
-const NUMBERS = {
-  Centre: [
-    ["center-x", "x", "to the right of the camera", metres("center", 0)],
-    ["center-y", "y", "below the camera", metres("center", 1)],
-    ["center-z", "z", "in front of the camera", metres("center", 2)],
-  ],
-  Size: [
-    ["size-length", "length", "along the heading", metres("size", 0, MIN_SIZE_M)],
-    ["size-width", "width", "across the heading", metres("size", 1, MIN_SIZE_M)],
-    ["size-height", "height", "along the box's z axis", metres("size", 2, MIN_SIZE_M)],
-  ],
-  Rotation: [
-    ["yaw", "yaw", "about the scene's up direction; 0° points away from the camera", degrees("yaw")],
-    ["pitch", "pitch", "a positive angle lowers the front", degrees("pitch")],
-    ["roll", "roll", "about the heading", degrees("roll")],
-  ],
-};
+const ID = "The object's id in the recording";
+const METRES = { unit: "m", step: 0.01, digits: 3 };
+/** The numbers of a box, in groups: their fields' test ids begin with `id`; each number with its help. */
+const NUMBERS = [
+  {
+    ...{ group: "Centre", id: "center-", ...METRES },
+    help: { x: "to the right of the camera", y: "below the camera", z: "in front of the camera" },
+  },
+  {
+    ...{ group: "Size", id: "size-", ...METRES },
+    help: { length: "along the heading", width: "across the heading", height: "along the box's z axis" },
+  },
+  {
+    ...{ group: "Rotation", id: "", unit: "°", step: 1, digits: 1 },
+    help: {
+      yaw: "about the scene's up direction; 0° points away from the camera",
+      pitch: "a positive angle lowers the front",
+      roll: "about the heading",
+    },
+  },
+];
+
+/** The numbers of a box by their names, degrees and metres. @returns {Record<string, number>} */
+function numbersOf(/** @type {Box3D} */ box, /** @type {Vector | null} */ up) {
+  const [[x, y, z], [length, width, height]] = [box.center, box.size];
+  return { x, y, z, length, width, height, ...anglesDeg(box, up) };
+}
+
+/** The box with another number. @returns {Box3D} */
+function withNumber(
+  /** @type {Box3D} */ box,
+  /** @type {Vector | null} */ up,
+  /** @type {string} */ name,
+  /** @type {number} */ value,
+) {
+  const { x, y, z, length, width, height, yaw, pitch, roll } = Object.assign(numbersOf(box, up), { [name]: value });
+  if (["yaw", "pitch", "roll"].includes(name)) return withAnglesDeg(box, up, { yaw, pitch, roll });
+  const size = [length, width, height].map((side) => Math.max(side, MIN_SIZE_M));
+  return { ...copyBox(box), center: [x, y, z], size };
+}
 
 export function createFields(/** @type {Annotate} */ at) {
   const { app, desk } = at;
@@ -58,46 +60,66 @@ export function createFields(/** @type {Annotate} */ at) {
   const title = h("h2.ellipsis", "Box");
   const chip = h("span.chip", { "data-testid": "label-state" });
   const facts = h("dl.facts", { "data-testid": "label-facts" });
-  const problem = h("div.error-box", { role: "alert", hidden: true, "data-testid": "not-saved" });
+  const why = h("p");
+  const problem = h(
+    "div.error-box",
+    { role: "alert", hidden: true, "data-testid": "not-saved" },
+    why,
+    h(
+      "div.row",
+      button("Try again", () => void desk.retry(), { "data-testid": "draft-retry" }),
+      button("Discard", () => desk.revert(), { "data-testid": "draft-discard" }),
+    ),
+  );
   const attributes = h("fieldset.wide", { hidden: true, "data-testid": "attributes" });
   const form = h("form.box-fields", { "data-testid": "fields" });
   const advice = h("p", { "data-testid": "box-advice" });
   const nothing = h("div.empty", advice);
   at.parts.fields.replaceChildren(h("header", title, h("span.grow"), chip), problem, form, nothing);
 
-  /** @param {typeof NUMBERS[string][number]} one */
-  function number([id, name, help, { unit, step, set }]) {
+  /** @param {typeof NUMBERS[number]} group */
+  function numberField({ id, unit, step }, /** @type {string} */ name, /** @type {string} */ help) {
+    const title = `${name}: ${help}`;
+    inputs[name] = typedField(
+      { step, "aria-label": `${name} in ${unit}`, title, "data-testid": `field-${id}${name}` },
+      (value) =>
+        Number.isFinite(value) && desk.shown ? { box: withNumber(desk.shown.box, up(), name, value) } : null,
+    );
+    names[name] = h("span", name);
+    return h("label.number-field", names[name], inputs[name], h("span.unit", unit));
+  }
+
+  /**
+   * A number field. Typing changes the box on the screen; leaving the field or pressing Enter saves that as one edit.
+   *
+   * @param {Attributes} attributes
+   * @param {(value: number) => Partial<Wanted> | null} valuesOf what a number, NaN for an empty field, changes; null:
+   *     it is none.
+   */
+  function typedField(attributes, valuesOf) {
     /** @type {HTMLInputElement} */
     const input = h("input", {
       type: "number",
-      step,
-      "aria-label": `${name} in ${unit}`,
-      title: `${name}: ${help}`,
-      "data-testid": `field-${id}`,
+      ...attributes,
       // a click selects the old number, so that typing replaces it
       onfocus: () => input.select(),
       oninput: () => {
         typed = input;
-        if (desk.shown && Number.isFinite(input.valueAsNumber))
-          desk.preview({ box: set(copyBox(desk.shown.box), input.valueAsNumber, up()) });
+        const values = valuesOf(input.valueAsNumber);
+        if (values) desk.preview(values);
       },
-      onchange: () => leave(input),
+      onchange: () => {
+        if (!valuesOf(input.valueAsNumber)) return abandon();
+        typed = null;
+        void desk.commit();
+      },
       onkeydown: (event) => {
         if (event.key !== "Escape") return;
         event.preventDefault();
         abandon();
       },
     });
-    inputs[id] = input;
-    names[id] = h("span", name);
-    return h("label.number-field", names[id], input, h("span.unit", unit));
-  }
-
-  // Typing changes the box on the screen; leaving the field or pressing Enter saves that as one edit.
-  function leave(/** @type {HTMLInputElement} */ input) {
-    if (!Number.isFinite(input.valueAsNumber)) return abandon();
-    typed = null;
-    void desk.commit();
+    return input;
   }
 
   /** Shows the box as it was before something was typed. */
@@ -116,29 +138,10 @@ export function createFields(/** @type {Annotate} */ at) {
       void desk.edit({ label: choice.value });
     },
   });
-  fill();
-  /** @type {HTMLInputElement} */
-  const track = h("input", {
-    type: "number",
-    step: 1,
-    min: 0,
-    placeholder: "none",
-    "aria-label": "Track id",
-    title: "The object's id in the recording",
-    "data-testid": "field-track",
-    onfocus: () => track.select(),
-    oninput: () => {
-      typed = track;
-      if (desk.shown)
-        desk.preview({
-          track_id: Number.isInteger(track.valueAsNumber) ? track.valueAsNumber : null,
-        });
-    },
-    onchange: () => {
-      typed = null;
-      void desk.commit();
-    },
-  });
+  const track = typedField(
+    { step: 1, min: 0, placeholder: "none", "aria-label": "Track id", title: ID, "data-testid": "field-track" },
+    (value) => ({ track_id: Number.isInteger(value) ? value : null }),
+  );
   /** @type {HTMLElement[]} */
   const ofBox = [
     h(
@@ -146,43 +149,21 @@ export function createFields(/** @type {Annotate} */ at) {
       h("label.number-field", h("span", "Class"), choice),
       h("label.number-field", h("span", "Track"), track),
     ),
-    ...Object.entries(NUMBERS).map(([name, all]) => h("fieldset", h("legend", name), all.map(number))),
+    ...NUMBERS.map((each) => {
+      const all = Object.entries(each.help).map(([name, help]) => numberField(each, name, help));
+      return h("fieldset", h("legend", each.group), all);
+    }),
   ];
   form.append(...ofBox, attributes, facts);
   ofBox.push(facts);
   form.addEventListener("submit", (event) => event.preventDefault());
   desk.onLeave(() => leaveField(form));
 
-  /** Offers the project's classes. */
-  function fill() {
-    const { value } = choice;
-    patch(
-      choice,
-      app.state.project.classes.map((name) => h("option", { value: name }, name)),
-    );
-    choice.value = value;
-  }
-
   /** Shows a number, but not in the field that is being typed in. */
   function put(/** @type {string} */ name, /** @type {number} */ value, /** @type {number} */ digits) {
     // -0.0 is 0
     const text = value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1");
     if (inputs[name] !== typed && inputs[name].value !== text) inputs[name].value = text;
-  }
-
-  function showProblem() {
-    const why = desk.problemOf();
-    problem.hidden = !why;
-    if (!why) return;
-    patch(
-      problem,
-      h("p", `Not saved. ${why}`),
-      h(
-        "div.row",
-        button("Try again", () => void desk.retry(), { "data-testid": "draft-retry" }),
-        button("Discard", () => desk.revert(), { "data-testid": "draft-discard" }),
-      ),
-    );
   }
 
   function show() {
@@ -193,7 +174,8 @@ export function createFields(/** @type {Annotate} */ at) {
     chip.hidden = !label;
     nothing.hidden = Boolean(label);
     title.textContent = label ? label.label : "Box";
-    showProblem();
+    problem.hidden = !desk.problemOf();
+    why.textContent = `Not saved. ${desk.problemOf()}`;
     // where something is drawn or dashed already, what to do with that comes first
     advice.textContent =
       at.teach.hint() ||
@@ -204,18 +186,22 @@ export function createFields(/** @type {Annotate} */ at) {
     const state = desk.hasDraft ? "not saved" : label.isNew ? "new" : label.state;
     chip.textContent = state;
     chip.className = `chip state-${label.state}`;
-    for (const [id, , , { get, digits }] of Object.values(NUMBERS).flat()) put(id, get(label.box, up()), digits);
+    const numbers = numbersOf(label.box, up());
+    for (const { help, digits } of NUMBERS) for (const name of Object.keys(help)) put(name, numbers[name], digits);
     const jump = jumpText(label);
     names.yaw.textContent = jump || "yaw";
     names.yaw.className = jump ? "bad" : "";
-    if (![...choice.options].some(({ value }) => value === label.label))
-      choice.append(h("option", { value: label.label }, label.label));
+    const classes = new Set([...app.state.project.classes, label.label]);
+    patch(
+      choice,
+      [...classes].map((name) => h("option", { value: name }, name)),
+    );
     choice.value = label.label;
     if (typed !== track) track.value = String(label.track_id ?? "");
     patch(facts, describe(label));
   }
 
-  return { show, fill, attributes };
+  return { show, attributes };
 }
 
 const percent = (/** @type {number | null | undefined} */ value) =>

@@ -83,14 +83,6 @@ export function suggestionOf(/** @type {Item} */ { suggested }) {
 /** True for the side view of a step, whose front view looks along the camera's axis rather than across it. */
 const looksAside = (/** @type {Api.ViewJson} */ { axes }) => Math.abs(axes[0][2]) > Math.abs(axes[2][2]);
 
-/** The axes of the second step's front view; null if none of its views is known. */
-export function secondAxes(/** @type {Item} */ { views: [, , front, side] }) {
-  if (front) return front.axes;
-  if (!side) return null;
-  const [a3, a2, away] = side.axes;
-  return [away.map((value) => -value), a2, a3];
-}
-
 /** The number of an item's five drags that are done. */
 export function progressOf(/** @type {Item} */ item) {
   return 1 + item.boxes.filter(Boolean).length;
@@ -109,13 +101,8 @@ export function exchanged(
   return after ? plain.with(index, after) : plain.toSpliced(index, 1);
 }
 
-export function sameItem(/** @type {Item} */ a, /** @type {Item} */ b) {
-  return (
-    sameBox(a.image_box, b.image_box) &&
-    progressOf(a) === progressOf(b) &&
-    a.boxes.every((box, i) => sameBox(box, b.boxes[i]) || (!box && !b.boxes[i]))
-  );
-}
+export const sameItem = (/** @type {Item} */ a, /** @type {Item} */ b) =>
+  sameBox(a.image_box, b.image_box) && a.boxes.every((box, i) => sameBox(box, b.boxes[i]));
 
 /** Intersection over union of two boxes of the same class; 0 for different classes. */
 export function overlap(/** @type {Box2D} */ a, /** @type {Box2D} */ b) {

@@ -11,7 +11,7 @@ import { button, h, s } from "../dom.js";
 import { hull, isInHull } from "../editor2d/geometry.js";
 import { dragOrClick } from "../editor2d/gestures.js";
 import { listenToPointers } from "../editor2d/pointers.js";
-import { add, cross, dot, length, scale, subtract } from "../rotation.js";
+import { add, scale, sceneAxes, transpose } from "../rotation.js";
 import { shortName } from "./drawing.js";
 
 /** Whether it is shown in place of the 3D view. */
@@ -27,16 +27,10 @@ const REACH_PX = 10;
 const LIMITS_M_PER_PX = [0.002, 2];
 /** Metres in front of the sensor that are shown first, at most, and if there are no points. */
 const FURTHEST_M = 60;
-/** A direction is steep if it is nearer to the vertical than this cosine. */
-const STEEP = 0.9;
-
 /** The axes of the map: right, down on the screen, and into it, that is with gravity. */
-export function mapAxes(/** @type {Vector | null} */ up) {
-  const against = up ?? [0, -1, 0];
-  const ahead = Math.abs(against[2]) < STEEP ? [0, 0, 1] : [0, -1, 0];
-  const level = subtract(ahead, scale(against, dot(ahead, against)));
-  const forward = scale(level, 1 / length(level));
-  return [cross(forward, against), scale(forward, -1), scale(against, -1)];
+function mapAxes(/** @type {Vector | null} */ up) {
+  const [forward, left, above] = transpose(sceneAxes(up));
+  return [left, forward, above].map((axis) => scale(axis, -1));
 }
 
 export function createMap(/** @type {Annotate} */ at) {
@@ -245,13 +239,14 @@ export function createMap(/** @type {Annotate} */ at) {
     let isEdited = false;
     return dragOrClick(start, {
       move(here, point) {
-        if (!box) view.panBy(point[0] - last[0], point[1] - last[1]);
-        else if (kind === "turn") desk.preview({ box: turned(box, plane.axes[2], angle(here) - angle(from)) });
+        if (!box) {
+          view.panBy(point[0] - last[0], point[1] - last[1]);
+          look();
+        } else if (kind === "turn") desk.preview({ box: turned(box, plane.axes[2], angle(here) - angle(from)) });
         else
           desk.preview({ box: { ...box, center: add(box.center, pointOf([here[0] - from[0], here[1] - from[1]])) } });
         isEdited = box !== null;
         last = point;
-        look();
       },
       finish: () => void (isEdited && desk.commit()),
       cancel: () => void (isEdited && desk.hasDraft && desk.revert()),
@@ -263,7 +258,7 @@ export function createMap(/** @type {Annotate} */ at) {
     });
   }
 
-  const pointers = listenToPointers({ root, size, view, redraw: look, hit, begin });
+  const pointers = listenToPointers({ root, size, view, until: at.until, redraw: look, hit, begin });
   // another box is selected: the drag was of the one before
   desk.onLeave(pointers.cancel);
   root.addEventListener("dblclick", (event) => {
@@ -277,6 +272,10 @@ export function createMap(/** @type {Annotate} */ at) {
     look();
   });
   watcher.observe(root);
+  at.until.addEventListener("abort", () => {
+    clearTimeout(timer);
+    watcher.disconnect();
+  });
 
   /** Shows the map in place of the 3D view, or this one again. */
   function turn(/** @type {boolean} */ on) {
@@ -306,11 +305,6 @@ export function createMap(/** @type {Annotate} */ at) {
     fit() {
       fit();
       look();
-    },
-    destroy() {
-      clearTimeout(timer);
-      pointers.stop();
-      watcher.disconnect();
     },
   };
 }

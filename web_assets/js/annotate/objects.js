@@ -1,64 +1,67 @@
 /** The effects of a drag on the object that is being drawn: its views, its boxes, its class, and what is saved. */
 
-import { messageOf } from "../errors.js";
+import { isAborted, messageOf } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
-import { createMoves, demoteSecondStep, drawnObject, makeDraft, takeSteps } from "./draft.js";
+import { drawnObject, makeDraft, suggestionsOf, takeProblem, takeSteps } from "./draft.js";
 import { exchanged, makeItem, plainBox, relabelItem, sameBox, suggestionOf } from "./items.js";
+
+/** While a detector is being loaded, its suggestions are asked for so often, ms. */
+const LOADING_WAIT_MS = 1500;
 
 /** True if an object has all its boxes and a label. */
 export const isFinished = (/** @type {Item} */ item) => Boolean(item.uid) && item.boxes.every(Boolean);
 
-/**
- * @param {ModeApp} app
- * @param {Work} work
- * @param {{ saver: Saver, loader: StepLoader, suggester: Suggester, whole: WholeBoxes, show: () => void,
- *     onStored: (item: Item) => void }} parts onStored: called when an object is about to be stored.
- */
-export function createObjects(app, work, parts) {
-  const { saver, loader, suggester, whole, show, onStored } = parts;
+export function createObjects(/** @type {Work} */ work) {
+  const { app, show, saver } = work;
   const kind = () => work.kind;
-  const moves = createMoves(loader);
+  let request = new AbortController();
 
   /** Makes an object the current one and fetches its views. */
   function open(/** @type {Item} */ item) {
-    begin(item);
-    work.loaded = loadSteps();
+    void load(begin(item), 0);
     show();
   }
 
-  /** @returns {Draft} */
   function begin(/** @type {Item} */ item) {
-    moves.leave(work.draft);
-    const draft = moves.draftOf(item) ?? makeDraft(item, currentFrame(app).frame.id);
-    work.draft = draft;
-    return draft;
+    request.abort();
+    work.draft = makeDraft(item, currentFrame(app).frame.id);
+    return work.draft;
   }
 
   /** Closes the current object. */
   function close() {
-    moves.leave(work.draft);
-    suggester.stop();
-    whole.stop();
+    request.abort();
+    work.whole.stop();
     work.draft = null;
   }
 
-  /** Loads the current object's views. */
-  async function loadSteps() {
-    const loading = work.draft;
-    if (!loading) return;
-    const { item } = loading;
-    suggester.stop();
+  /** Loads an object's views after a while, and again while the detector is being loaded; any change ends that. */
+  async function load(/** @type {Draft} */ draft, /** @type {number} */ waitMs) {
+    request.abort();
+    request = new AbortController();
+    const { signal } = request;
+    const { changes } = draft;
+    draft.isLoading = waitMs === 0;
     try {
-      // a moved object is saved afterwards, and the answer to that contains suggestions
-      const isNewest = await moves.load(loading, !moves.isWaiting(item));
-      if (!isNewest || work.draft !== loading) return;
+      await new Promise((resolve) => setTimeout(resolve, waitMs));
+      if (signal.aborted) return;
+      const body = { ...drawnObject(draft.item), box_kind: kind() };
+      const answer = await app.api.post(app.path("frames", draft.frame, "label", "steps"), body, { signal });
+      if (!signal.aborted && draft.changes === changes) takeAnswer(draft, answer);
     } catch (error) {
-      loading.stop = messageOf(error);
-      // the views of the old box must not be drawn on
-      if (moves.isWaiting(item)) loading.steps = [];
-      if (work.draft !== loading) return;
+      if (isAborted(error) || signal.aborted) return;
+      takeProblem(draft, messageOf(error));
+      show();
     }
-    showViews(loading);
+  }
+
+  function takeAnswer(/** @type {Draft} */ draft, /** @type {Api.StepsOut} */ answer) {
+    takeSteps(draft, answer);
+    if (work.draft !== draft) return;
+    work.report("view", answer.problem);
+    show();
+    void work.whole.follow(draft);
+    if (answer.detector === "loading") void load(draft, LOADING_WAIT_MS);
   }
 
   /**
@@ -74,29 +77,20 @@ export function createObjects(app, work, parts) {
     draft.isLoading = true;
     await saver.idle();
     // the answer to a newer change contains new suggestions
-    if (work.draft === draft && draft.changes === changes) work.loaded = loadSteps();
-  }
-
-  function showViews(/** @type {Draft} */ draft) {
-    if (draft.item.boxes.every(Boolean)) draft.outline = null;
-    show();
-    void suggester.follow(draft);
-    void whole.follow(draft);
+    if (work.draft === draft && draft.changes === changes) void load(draft, 0);
   }
 
   // -- boxes on the image
 
   /** The operator has changed a box on the image: that of an object, or a dashed one, which becomes an object. */
-  function onImageChange(
-    /** @type {Item} */ item,
-    /** @type {Box2D} */ box,
-    /** @type {EditKind} */ why,
-    /** @type {number} */ actions,
-  ) {
+  function onImageChange(/** @type {Item} */ item, /** @type {Box2D} */ box, /** @type {number} */ actions) {
     app.effort.action(actions);
     if (!work.items.includes(item)) takeGuess(item, box);
-    else if (why === "delete") removeItem(item);
-    else changeImageBox(item, plainBox(box));
+    else {
+      item.image_box = plainBox(box);
+      save(work.draft?.item === item ? work.draft : begin(item));
+      show();
+    }
   }
 
   /** A box was drawn on the image for a new object. */
@@ -108,47 +102,17 @@ export function createObjects(app, work, parts) {
   function add(/** @type {Item} */ item) {
     work.items = [...work.items, item];
     work.selected = item;
-    if (item.boxes.some(Boolean)) {
-      // its views may belong to another box on the image
-      changeImageBox(item, item.image_box);
-      return;
-    }
     save(begin(item));
     show();
   }
 
   function takeGuess(/** @type {Item} */ item, /** @type {Box2D} */ box) {
     work.notSaved = work.notSaved.filter((known) => known !== item);
-    add({ ...item, uid: null, stored: null, image_box: { ...plainBox(box), score: 1 } });
-  }
-
-  function changeImageBox(/** @type {Item} */ item, /** @type {Box2D} */ box) {
-    item.image_box = box;
-    const draft = work.draft?.item === item ? work.draft : begin(item);
-    if (item.boxes.some(Boolean) || item.uid) followMove(draft);
-    else save(draft);
-    show();
-  }
-
-  /** Saves an object whose views have changed, after its boxes were transferred to the new views. */
-  function followMove(/** @type {Draft} */ draft) {
-    const { item } = draft;
-    const isWaiting = moves.isWaiting(item);
-    if (!isWaiting) moves.start(draft);
-    draft.changes += 1;
-    work.loaded = loadSteps();
-    if (isWaiting) void saver.retry();
-    else saver.save({ item, make: () => followed(item) });
-  }
-
-  /** The change of an object whose image box was moved, once its boxes are on the new views; null if it is gone. */
-  async function followed(/** @type {Item} */ item) {
-    const isThere = await moves.settle(item, (draft) => {
-      if (work.draft === draft) work.loaded = loadSteps();
-      else void moves.load(draft, false);
-    });
-    const draft = moves.draftOf(item);
-    return isThere && draft ? changeOf(draft) : null;
+    // an object that was changed by others, too
+    const theirs = work.items.find((known) => sameBox(known.image_box, item.image_box));
+    work.items = work.items.filter((known) => known !== theirs);
+    const { uid, stored } = theirs ?? { uid: null, stored: null };
+    add({ ...item, uid, stored, image_box: { ...plainBox(box), score: 1 } });
   }
 
   // -- boxes on the views
@@ -162,11 +126,7 @@ export function createObjects(app, work, parts) {
     if (index >= 2) accept(draft, [0, 1]);
     item.boxes[index] = { ...plainBox(box), label: item.image_box.label, score: 1 };
     item.suggested[index] = null;
-    draft.suggestions[index] = null;
-    draft.kept[index] = false;
-    const isMove = index < 2 && [2, 3].some((later) => item.boxes[later]);
-    if (isMove) followMove(draft);
-    else save(draft);
+    save(draft);
     if (item.boxes.every(Boolean)) work.selected = null;
     show();
   }
@@ -174,7 +134,7 @@ export function createObjects(app, work, parts) {
   /** Accepts all suggested boxes of the current object; false if there is none. */
   function acceptAll() {
     const { draft } = work;
-    if (!draft || work.isReadonly || draft.isLoading || !draft.suggestions.some(Boolean)) return false;
+    if (!draft || work.isReadonly || draft.isLoading || !suggestionsOf(draft).some(Boolean)) return false;
     app.effort.action();
     accept(draft, [0, 1, 2, 3]);
     save(draft);
@@ -183,13 +143,14 @@ export function createObjects(app, work, parts) {
     return true;
   }
 
-  function accept(/** @type {Draft} */ { item, suggestions, suggestion, kept }, /** @type {number[]} */ indices) {
+  function accept(/** @type {Draft} */ draft, /** @type {number[]} */ indices) {
+    const { item, answer } = draft;
+    const suggestions = suggestionsOf(draft);
     for (const index of indices) {
-      if (suggestions[index] && !item.boxes[index] && !kept[index]) item.suggested[index] = suggestion;
-      const box = item.boxes[index] ?? suggestions[index];
-      item.boxes[index] = box && { ...plainBox(box), score: 1 };
-      suggestions[index] = null;
-      kept[index] = false;
+      const box = suggestions[index];
+      if (!box) continue;
+      item.suggested[index] = answer.suggestion;
+      item.boxes[index] = { ...plainBox(box), score: 1 };
     }
   }
 
@@ -199,7 +160,6 @@ export function createObjects(app, work, parts) {
     if (!draft) return;
     draft.item.boxes[index] = null;
     draft.item.suggested[index] = null;
-    if (index < 2) demoteSecondStep(draft);
     save(draft);
     show();
   }
@@ -219,42 +179,30 @@ export function createObjects(app, work, parts) {
 
   function remove(/** @type {Item} */ item) {
     app.effort.action();
-    removeItem(item);
-  }
-
-  function removeItem(/** @type {Item} */ item) {
     work.items = work.items.filter((other) => other !== item);
-    moves.forget(item);
     if (work.draft?.item === item) close();
     saver.save(removal(item, kind));
     show();
   }
 
-  /** Saves an object as it is now; while it waits for its views, it is saved when they are loaded. */
+  /** Saves an object as it is now; the answer has its views. */
   function save(/** @type {Draft} */ draft) {
-    onStored(draft.item);
+    work.onStored(draft.item);
     if (!work.items.includes(draft.item)) work.items = [...work.items, draft.item];
+    request.abort();
     draft.changes += 1;
     draft.whole = null;
-    suggester.stop();
-    if (moves.isWaiting(draft.item)) return;
     draft.isLoading = true;
-    saver.save(changeOf(draft));
-  }
-
-  function changeOf(/** @type {Draft} */ draft) {
     const { changes } = draft;
-    return objectChange(draft, {
-      after: work.loaded,
-      kind,
-      onDrawn(drawn) {
-        // after a newer change, its answer counts
-        if (draft.changes !== changes) return;
-        draft.isLoading = false;
-        takeSteps(draft, drawn);
-        if (work.draft === draft) showViews(draft);
-      },
-    });
+    saver.save(
+      objectChange(draft, {
+        kind,
+        onDrawn(answer) {
+          // after a newer change, its answer counts
+          if (draft.changes === changes) takeAnswer(draft, answer);
+        },
+      }),
+    );
   }
 
   /** A change could not be saved, so there is no answer with its views. */
@@ -263,23 +211,10 @@ export function createObjects(app, work, parts) {
     show();
   }
 
-  /** The others' version was kept. The dropped change stays visible; a click or Enter saves it. */
-  function onDropped(/** @type {FrameChange | LaterChange} */ { item }) {
+  /** The others' version was kept. The dropped object stays visible, dashed; a click saves it. */
+  function onDropped(/** @type {FrameChange} */ { item }) {
     if (!item) return;
-    // boxes that have not been transferred yet are not on any view of the moved object
-    const boxes = moves.isWaiting(item) ? [] : item.boxes;
-    moves.forget(item);
-    const theirs = work.items.find((known) => sameBox(known.image_box, item.image_box));
-    if (theirs) {
-      if (work.draft?.item !== theirs) open(theirs);
-      boxes.forEach((box, i) => {
-        if (!work.draft || !box || theirs.boxes[i]) return;
-        work.draft.suggestions[i] = box;
-        work.draft.kept[i] = true;
-      });
-    } else {
-      work.notSaved = [...work.notSaved.filter((known) => !sameBox(known.image_box, item.image_box)), item];
-    }
+    work.notSaved = [...work.notSaved.filter((known) => !sameBox(known.image_box, item.image_box)), item];
     show();
   }
 
@@ -306,21 +241,20 @@ export function createObjects(app, work, parts) {
  *
  * @param {Draft} draft
  * @param {object} options
- * @param {Promise<unknown>} options.after
  * @param {() => Api.BoxKind} options.kind
- * @param {(drawn: Api.StepsOut) => void} options.onDrawn called with the views and suggestions that follow.
+ * @param {(answer: Api.StepsOut) => void} options.onDrawn called with the views and suggestions that follow.
  * @returns {FrameChange}
  */
-export function objectChange(draft, { after, kind, onDrawn }) {
-  const { item, outline } = draft;
-  const drawn = drawnObject(draft);
+export function objectChange(draft, { kind, onDrawn }) {
+  const { item } = draft;
+  const { outline } = draft.answer;
+  const drawn = drawnObject(item);
   const suggestion = suggestionOf(item);
   const kept = { ...makeItem(drawn.image_box), boxes: item.boxes.slice(), views: item.views.slice() };
   kept.stored = item.stored;
   item.stored = drawn.image_box;
   return {
     path: ["label", "object"],
-    after,
     item: kept,
     relabel(named) {
       relabelItem(kept, named);

@@ -1,6 +1,6 @@
 /** Opens frames, and selects a box in each. */
 
-import { isAborted } from "../errors.js";
+import { ApiError, isAborted } from "../errors.js";
 import { frameBeside } from "../frame_problem.js";
 import { makeHash } from "../router.js";
 import { isOpen } from "./desk.js";
@@ -51,7 +51,7 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
     const own = openings;
     setLoading(true);
     try {
-      if (opened !== id && opened !== null && !isAtOnce && !(await app.mayLeave())) return false;
+      if (opened !== id && opened !== null && !isAtOnce && !(await app.mayLeave(id))) return false;
       if (!isAtOnce) await desk.flush();
       if (own !== openings) return null;
       // app.state may still have an old state from another mode
@@ -64,8 +64,13 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
         showProblem(null);
       }
       pick(uid, track);
-      // one that was read ahead is read again, when it is shown
-      setTimeout(() => own === openings && desk.refresh().catch(app.toast), REST_MS);
+      // one that was read ahead is read again, when it is shown; its files may be damaged or gone by now
+      const again = (/** @type {unknown} */ error) => {
+        if (own !== openings || !(error instanceof ApiError && error.status > 0)) return app.toast(error);
+        opened = null;
+        void open(id, uid, track, isAsItIs);
+      };
+      setTimeout(() => own === openings && desk.refresh().catch(again), REST_MS);
     } catch (error) {
       if (own !== openings || isAborted(error)) return null;
       showProblem(error, id);

@@ -18,8 +18,6 @@ const CALM_MS = 1500;
 /** The server sends a few hundred items; more are read when fewer than these are left. */
 const FEW = 100;
 
-/** @typedef {Partial<Record<"attribute" | "value" | "contains" | "low" | "high" | "known", string>>} ValueQuery */
-
 export function createQueue(/** @type {App} */ app, /** @type {() => void} */ onChange) {
   const kept = localStorage.getItem("queue-order");
   let order = ORDERS.find(([name]) => name === kept)?.[0] ?? "worst";

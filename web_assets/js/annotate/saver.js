@@ -111,14 +111,13 @@ export function createSender(app, onWaiting) {
 }
 
 /**
- * Saves drawn objects. Each change is sent after its `after`: the views that follow from a drag are loaded first, so
- * the server has them in its cache. What fails waits, with the later ones, until it is tried again.
+ * Saves drawn objects. What fails waits, with the later ones, until it is tried again.
  *
  * @param {App} app
  * @param {Pick<Desk, "send">} desk
  * @param {object} listeners
  * @param {(state: FrameState) => void} listeners.onSaved called when the last waiting change is saved.
- * @param {(change: FrameChange | LaterChange) => void} listeners.onDropped the operator kept the others' version; this
+ * @param {(change: FrameChange) => void} listeners.onDropped the operator kept the others' version; this
  *     change is not saved.
  * @param {(isSaving: boolean) => void} listeners.onBusy called when saving begins, and when it ends or fails.
  */
@@ -140,28 +139,19 @@ export function createSaver(app, desk, { onSaved, onDropped, onBusy }) {
     onBusy(false);
   }
 
-  async function changeOf(/** @type {Waiting} */ entry) {
-    if (!("make" in entry)) return entry;
-    entry.made ??= await entry.make();
-    return entry.made;
-  }
-
   async function send(/** @type {Waiting} */ entry) {
     const { frame } = entry;
     let namingsSent = namings;
     try {
-      const change = await changeOf(entry);
-      await change?.after;
-      if (waiting[0] !== entry) return;
       const body = (/** @type {FrameState} */ state) => {
         namingsSent = namings;
-        return change?.body(state) ?? {};
+        return entry.body(state);
       };
-      const answer = change && (await desk.send(frame, { ...change, body }));
-      if (change && !answer) return drop();
+      const answer = await desk.send(frame, { ...entry, body });
+      if (!answer) return drop();
       waiting.shift();
       const open = app.state.frame;
-      if (answer && waiting.length === 0 && open?.frame.id === frame) onSaved(open);
+      if (waiting.length === 0 && open?.frame.id === frame) onSaved(open);
     } catch (error) {
       // an error about a name that the change no longer has does not count: it is sent again
       if (namingsSent === namings) problem = error instanceof Error ? error : new Error(String(error));
@@ -170,7 +160,7 @@ export function createSaver(app, desk, { onSaved, onDropped, onBusy }) {
 
   /** The operator keeps the others' version: all waiting changes are dropped, but stay visible. */
   function drop() {
-    const dropped = waiting.map((entry) => ("make" in entry ? (entry.made ?? entry) : entry));
+    const dropped = waiting;
     waiting = [];
     if (app.state.frame) app.frames.take(app.state.frame);
     for (const one of dropped) onDropped(one);
@@ -178,7 +168,7 @@ export function createSaver(app, desk, { onSaved, onDropped, onBusy }) {
 
   return {
     /** Queues a change of the open frame. */
-    save(/** @type {FrameChange | LaterChange} */ change) {
+    save(/** @type {FrameChange} */ change) {
       waiting.push({ ...change, frame: currentFrame(app).frame.id });
       running ??= run();
     },
@@ -196,10 +186,7 @@ export function createSaver(app, desk, { onSaved, onDropped, onBusy }) {
       if (!Object.keys(renamed).length) return;
       namings += 1;
       const named = naming(renamed);
-      for (const entry of waiting) {
-        const change = "make" in entry ? entry.made : entry;
-        change?.relabel?.(named);
-      }
+      for (const change of waiting) change.relabel?.(named);
       if (problem && waiting.length) running ??= run();
     },
     /** The classes of the boxes that wait. */

@@ -76,16 +76,10 @@ export function createQueueList(/** @type {Annotate} */ at) {
 
   /** Offers the sources of the proposals, once there are any but annotator itself. */
   function showSources() {
-    const chosen = source.value;
-    const names = Object.keys(queue.sources);
-    if (chosen && !names.includes(chosen)) names.push(chosen);
-    patch(
-      source,
-      h("option", { value: "" }, "All sources"),
-      ...names.map((name) => h("option", { value: name }, `${name} (${queue.sources[name] ?? 0})`)),
-    );
-    source.value = chosen;
-    source.hidden = names.every((name) => name === OWN);
+    const names = new Set([...Object.keys(queue.sources), ...(source.value ? [source.value] : [])]);
+    const textOf = (/** @type {string} */ name) => `${name} (${queue.sources[name] ?? 0})`;
+    refill(source, "All sources", new Map([...names].map((name) => [name, textOf(name)])));
+    source.hidden = [...names].every((name) => name === OWN);
   }
 
   /** Shown in place of the items if there are none. */
@@ -210,15 +204,18 @@ export function createBoxList(/** @type {Annotate} */ at) {
   let request = new AbortController();
   at.parts.boxes.replaceChildren(h("header", title), note, list);
 
+  at.until.addEventListener("abort", () => request.abort());
+
   function draw() {
     const labels = desk.labels();
     // once there, their places stay until another frame is shown
     const frame = app.state.frame?.frame.id ?? null;
-    if (labels.filter((label) => isOpen(label) && !label.isNew).length > 1) pictured = frame;
-    const hasPictures = pictured === frame;
+    if (labels.filter((label) => isPictured(label) && isOpen(label) && !label.isNew).length > 1) pictured = frame;
+    const picture = (/** @type {PageLabel} */ label) =>
+      pictured === frame && isPictured(label) ? (pictures.get(label.uid) ?? "") : null;
     patch(
       list,
-      labels.map((label) => boxRow(at, label, hasPictures ? (pictures.get(label.uid) ?? "") : null)),
+      labels.map((label) => boxRow(at, label, picture(label))),
       at.teach.unfinished.map((item) => unfinishedRow(item, at.teach)),
     );
   }
@@ -227,7 +224,7 @@ export function createBoxList(/** @type {Annotate} */ at) {
   async function readPictures() {
     const frame = app.state.frame?.frame;
     const key = frame ? `${frame.id}/${frame.revision}` : "";
-    if (!frame || key === known || desk.labels().filter(isOpen).length < 2) return;
+    if (!frame || key === known || desk.labels().filter(isPictured).filter(isOpen).length < 2) return;
     request.abort();
     request = new AbortController();
     if (known.split("/")[0] !== String(frame.id)) pictures = new Map();
@@ -247,7 +244,6 @@ export function createBoxList(/** @type {Annotate} */ at) {
       draw();
       void readPictures();
     },
-    destroy: () => request.abort(),
   };
 }
 
@@ -291,6 +287,9 @@ function boxRow({ app, desk, showBest }, label, picture) {
     ),
   );
 }
+
+/** Boxes that another camera of the rig sees better are reviewed there. */
+const isPictured = (/** @type {PageLabel} */ { better_in }) => better_in === null;
 
 const elsewhere = (/** @type {PageLabel} */ { better_in }) =>
   better_in === null ? "" : "another camera sees it better: a double click goes there";

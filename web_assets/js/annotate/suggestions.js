@@ -3,23 +3,14 @@
  * them is shown dashed; Enter confirms it, another key shows the next one.
  */
 
-import { isAborted } from "../errors.js";
-import { takeSteps } from "./draft.js";
 import { plainBox } from "./items.js";
 
 /** Enter confirms a box only after this time on the screen: before it, the key was meant for something else. */
 const SEEN_MS = 300;
 
-/**
- * @param {ModeApp} app
- * @param {Work} work
- * @param {object} parts
- * @param {Saver} parts.saver
- * @param {() => void} parts.onOffered called when boxes are offered, or another one is shown.
- */
-export function createWholeBoxes(app, work, { saver, onOffered }) {
-  /** @type {AbortController | null} */
-  let request = null;
+export function createWholeBoxes(/** @type {Work} */ work) {
+  const { app, show, saver } = work;
+  let request = new AbortController();
 
   /** The label of a draft's object, if its box encloses only what is seen. */
   function seenLabel(/** @type {Draft} */ { item }) {
@@ -30,29 +21,17 @@ export function createWholeBoxes(app, work, { saver, onOffered }) {
 
   /** Asks for the whole boxes of an object, unless they are known already; `stop` or another call ends that. */
   async function follow(/** @type {Draft} */ draft) {
-    stop();
-    const own = new AbortController();
-    request = own;
-    try {
-      await saver.idle();
-      if (own.signal.aborted || draft.whole?.changes === draft.changes || !seenLabel(draft)) return;
-      const { changes } = draft;
-      const path = app.path("frames", draft.frame, "label", "whole");
-      const boxes = await app.api.post(path, { image_box: plainBox(draft.item.image_box) }, { signal: own.signal });
-      if (own.signal.aborted || draft.changes !== changes) return;
-      draft.whole = { boxes, shown: 0, changes, since: performance.now() };
-      onOffered();
-    } catch (error) {
-      // the object is labelled without it
-      if (!isAborted(error)) app.toast(error);
-    } finally {
-      if (request === own) request = null;
-    }
-  }
-
-  function stop() {
-    request?.abort();
-    request = null;
+    request.abort();
+    request = new AbortController();
+    const { signal } = request;
+    await saver.idle();
+    if (signal.aborted || draft.whole?.changes === draft.changes || !seenLabel(draft)) return;
+    const { changes } = draft;
+    const path = app.path("frames", draft.frame, "label", "whole");
+    const boxes = await app.api.post(path, { image_box: plainBox(draft.item.image_box) }, { signal });
+    if (signal.aborted || draft.changes !== changes) return;
+    draft.whole = { boxes, shown: 0, changes, since: performance.now() };
+    show();
   }
 
   /** The box that is offered for the current object; null if there is none. */
@@ -69,7 +48,7 @@ export function createWholeBoxes(app, work, { saver, onOffered }) {
     if (!offered() || !whole || whole.boxes.length < 2) return false;
     app.effort.action();
     whole.shown = (whole.shown + 1) % whole.boxes.length;
-    onOffered();
+    show();
     return true;
   }
 
@@ -94,76 +73,9 @@ export function createWholeBoxes(app, work, { saver, onOffered }) {
       }),
       mine: () => ({ text: [`${name}: its whole box`], boxes: [], outlines: [outline] }),
     });
-    onOffered();
+    show();
     return true;
   }
 
-  return { follow, stop, offered, next, confirm };
-}
-
-// -- the detectors' suggestions: problems with them, waiting for a detector that is loaded, boxes on the image
-
-const LOADING_WAIT_MS = 1500;
-/** Problems that have been shown; each is shown only once. @type {Set<string>} */
-const reported = new Set();
-
-/**
- * @param {ModeApp} app
- * @param {object} parts
- * @param {AskSteps} parts.ask
- * @param {(draft: Draft) => void} parts.onSuggested called when a draft has new suggestions.
- */
-export function createSuggester(app, { ask, onSuggested }) {
-  /** @type {AbortController | null} */
-  let request = null;
-
-  function report(/** @type {Api.DetectorKind} */ role, /** @type {string | null | undefined} */ problem) {
-    const key = `${app.state.route.project}: ${problem}`;
-    if (!problem || reported.has(key)) return;
-    reported.add(key);
-    app.toast(`No suggestions: the ${role} detector cannot be loaded. ${problem}`, "warn");
-  }
-
-  function stop() {
-    request?.abort();
-    request = null;
-  }
-
-  /**
-   * While the detector is being loaded, asks again for the suggestions of a draft. Any change of the draft, another
-   * call, or `stop` ends that.
-   */
-  async function follow(/** @type {Draft} */ draft) {
-    stop();
-    report("view", draft.problem);
-    const own = new AbortController();
-    request = own;
-    const { signal } = own;
-    const { changes } = draft;
-    try {
-      while (draft.detector === "loading") {
-        await new Promise((resolve) => setTimeout(resolve, LOADING_WAIT_MS));
-        if (signal.aborted || draft.changes !== changes) return;
-        const answer = await ask(draft, true, signal);
-        if (signal.aborted || draft.changes !== changes) return;
-        takeSteps(draft, answer);
-        report("view", answer.problem);
-        onSuggested(draft);
-      }
-    } catch (error) {
-      // the object can be drawn without suggestions
-      app.toast(error);
-    } finally {
-      if (request === own) request = null;
-    }
-  }
-
-  /** The boxes that the image detector finds on a frame. */
-  async function onImage(/** @type {number} */ frame) {
-    const { boxes, problem } = await app.api.get(app.path("frames", frame, "label", "suggestions"));
-    report("image", problem);
-    return boxes;
-  }
-
-  return { follow, onImage, stop };
+  return { follow, stop: () => request.abort(), offered, next, confirm };
 }

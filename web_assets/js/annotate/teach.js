@@ -5,49 +5,27 @@
  * next step, and a box on each of these finishes the object (the paper's Fig. 6). Every drag is saved, and the answer
  * contains the next views and suggestions.
  *
- * objects.js handles drags, draft.js loads views, suggestions.js loads suggestions and offers whole boxes, saver.js
- * saves, and views_pane.js shows the views.
+ * objects.js handles drags, suggestions.js offers whole boxes, saver.js saves, and views_pane.js shows the views.
  */
 
 import { cameraOf, imageHeading, outline } from "../camera.js";
 import { STATE_COLORS } from "../colors.js";
 import { count } from "../dom.js";
 import { currentFrame } from "../frame_state.js";
-import { createAsk, createStepLoader, filledBoxes } from "./draft.js";
-import { itemsOf, makeItem, naming, overlap, plainBox, relabelItem, sameBox, sameItem, secondAxes } from "./items.js";
+import { drawnObject, filledBoxes, suggestionsOf } from "./draft.js";
+import { itemsOf, makeItem, naming, overlap, relabelItem, sameBox, sameItem } from "./items.js";
 import { createObjects, isFinished, kindChange } from "./objects.js";
 import { createSaveProblem, createSaver } from "./saver.js";
-import { createSuggester, createWholeBoxes } from "./suggestions.js";
+import { createWholeBoxes } from "./suggestions.js";
 import { createViewsPane, hintFor } from "./views_pane.js";
 
-const BUSY_WAIT_MS = 300;
 /** IoU above which a detected box and that of an object are the same object. */
 const SAME_OBJECT = 0.4;
+/** Problems that have been shown; each is shown only once. @type {Set<string>} */
+const reported = new Set();
 
 export function createTeach(/** @type {Annotate} */ at) {
   const { app, desk, parts } = at;
-  /** @type {Work} */
-  const work = {
-    items: [],
-    draft: null,
-    selected: null,
-    notSaved: [],
-    detections: [],
-    loaded: Promise.resolve(),
-    get isReadonly() {
-      return Boolean(app.state.frame?.frame.finalised);
-    },
-    get kind() {
-      return app.state.frame?.image_boxes?.box_kind ?? app.state.project.settings.box_kind;
-    },
-  };
-  /** @type {number | null} */
-  let frameShown = null;
-  let isOn = false;
-
-  const ask = createAsk(app, () => work.kind);
-  const loader = createStepLoader(ask);
-  const suggester = createSuggester(app, { ask, onSuggested: show });
   const saver = createSaver(app, desk, {
     onSaved,
     onDropped: (change) => objects.onDropped(change),
@@ -55,36 +33,44 @@ export function createTeach(/** @type {Annotate} */ at) {
       show();
       if (isSaving) return;
       if (saver.problem) objects.onFailed();
-      else void refresh();
+      else void desk.refresh();
     },
   });
-  const whole = createWholeBoxes(app, work, { saver, onOffered: show });
-  const views = createViewsPane(app, {
-    onBox: (...change) => objects.setViewBox(...change),
-    onClear: (...change) => objects.clearViewBox(...change),
-    onKind: setKind,
-    newLabel: () => work.draft?.item.image_box.label ?? "",
-  });
-  const objects = createObjects(app, work, {
+  /** @type {Partial<Work>} */
+  const core = {
+    app,
+    until: at.until,
     saver,
-    loader,
-    suggester,
-    whole,
+    items: [],
+    draft: null,
+    selected: null,
+    notSaved: [],
+    detections: [],
     show,
-    onStored(item) {
-      // the object replaces the box that was found for it
-      const { found } = item;
-      // what was found or proposed may have got another class since
-      const own = work.items.includes(item) ? null : desk.stored(found ?? item.uid ?? "");
-      if (own) relabelItem(item, naming({ [item.image_box.label]: desk.seen(own).label }));
-      item.found = null;
-      if (found) desk.drop(found);
+    report,
+    setKind,
+    onStored,
+    get isReadonly() {
+      return Boolean(app.state.frame?.frame.finalised);
     },
-  });
+    get kind() {
+      return app.state.frame?.image_boxes?.box_kind ?? app.state.project.settings.box_kind;
+    },
+  };
+  const work = /** @type {Work} */ (core);
+  /** @type {number | null} */
+  let frameShown = null;
+  let isOn = false;
+
+  work.whole = createWholeBoxes(work);
+  work.objects = createObjects(work);
+  const { whole, objects } = work;
+  const views = createViewsPane(work);
   const problem = createSaveProblem(app, saver, { onRelabel: rename, onDiscard: discard });
   parts.object.append(views.root);
   parts.problem.append(problem.root);
   views.root.hidden = true;
+  at.until.addEventListener("abort", close);
 
   // -- the frame's objects
 
@@ -134,23 +120,33 @@ export function createTeach(/** @type {Annotate} */ at) {
     show();
   }
 
-  /** Reads what others have saved, but not during a drag or while saving. */
-  async function refresh() {
-    if (!app.frames.isBehind || saver.isBusy || !parts.root.isConnected) return;
-    const isBusy = () =>
-      saver.isBusy || at.image.editor.isDragging || views.editors.some(({ isDragging }) => isDragging);
-    if (!isBusy()) await app.frames.refresh(() => !isBusy());
-    if (app.frames.isBehind) setTimeout(refresh, BUSY_WAIT_MS);
-  }
-
   /** Shows the boxes that the image detector finds on a frame on which there is nothing to review. */
   async function detect(/** @type {FrameState} */ { frame, labels }) {
     const isOpen = labels.some(({ state }) => state === "proposed");
     if (!app.state.project.detectors.image || frame.finalised || isOpen) return;
-    const boxes = await suggester.onImage(frame.id);
+    const { boxes, problem } = await app.api.get(app.path("frames", frame.id, "label", "suggestions"));
+    report("image", problem);
     if (frameShown !== frame.id) return;
     work.detections = boxes;
     show();
+  }
+
+  /** An object is about to be stored: it replaces the box that was found for it. */
+  function onStored(/** @type {Item} */ item) {
+    const { found } = item;
+    // what was found or proposed may have got another class since
+    const own = work.items.includes(item) ? null : desk.stored(found ?? item.uid ?? "");
+    if (own) relabelItem(item, naming({ [item.image_box.label]: desk.seen(own).label }));
+    item.found = null;
+    if (found) desk.drop(found);
+  }
+
+  /** Says why a detector suggests nothing. */
+  function report(/** @type {Api.DetectorKind} */ role, /** @type {string | null | undefined} */ problem) {
+    const key = `${app.state.route.project}: ${problem}`;
+    if (!problem || reported.has(key)) return;
+    reported.add(key);
+    app.toast(`No suggestions: the ${role} detector cannot be loaded. ${problem}`, "warn");
   }
 
   /** Makes the object of the selected box the current one; without one, none. */
@@ -197,35 +193,33 @@ export function createTeach(/** @type {Annotate} */ at) {
 
   function show() {
     problem.show();
-    views.setReadonly(work.isReadonly);
-    views.showKind(work.kind, work.isReadonly);
     views.show(isOn ? work.draft : null);
     at.showDrawn();
   }
 
   /** The objects whose boxes on the image are shown: the current one, and those that are not finished. */
-  const onImage = () => work.items.filter((item) => item === work.draft?.item || !item.uid);
+  const onImage = () => work.items.filter((item) => (item === work.draft?.item || !item.uid) && !isReplaced(item));
+  /** This page has another version, which is not saved. */
+  const isReplaced = (/** @type {Item} */ { image_box }) =>
+    work.notSaved.some((item) => sameBox(item.image_box, image_box));
 
   /**
-   * Dashed boxes on the image: this page's unsaved boxes, and detected ones at places where there is nothing.
-   *
-   * @returns {Guess[]}
+   * Dashed boxes on the image, with their objects: this page's unsaved boxes, and detected ones at places where there is
+   * nothing.
    */
   function guesses() {
     if (work.isReadonly) return [];
-    const unsaved = work.notSaved.map((item) => ({ item, image_box: item.image_box, caption: "yours, not saved" }));
     const taken = [
       ...work.items.map(({ image_box }) => image_box),
       ...desk.labels().flatMap((label) => (label.state === "rejected" ? [] : (rectangle(label) ?? []))),
     ];
     const free = work.detections.filter((box) => !taken.some((known) => overlap(known, box) > SAME_OBJECT));
+    const guess = (/** @type {Item} */ item, /** @type {string} */ caption) => {
+      return { item, box: { ...item.image_box, suggested: true, caption } };
+    };
     return [
-      ...unsaved,
-      ...free.map((box) => ({
-        item: makeItem(box),
-        image_box: box,
-        caption: `${box.label} ${Math.round(100 * (box.score ?? 1))} %`,
-      })),
+      ...work.notSaved.map((item) => guess(item, "yours, not saved")),
+      ...free.map((box) => guess(makeItem(box), `${box.label} ${Math.round(100 * (box.score ?? 1))} %`)),
     ];
   }
 
@@ -235,11 +229,7 @@ export function createTeach(/** @type {Annotate} */ at) {
       item,
       box: { ...item.image_box, faint: item !== work.draft?.item, caption: item.image_box.label },
     }));
-    const dashed = guesses().map(({ item, image_box, caption }) => ({
-      item,
-      box: { ...image_box, suggested: true, caption },
-    }));
-    return { list: [...boxes, ...dashed], selected: boxes.findIndex(({ item }) => item === work.selected) };
+    return { list: [...boxes, ...guesses()], selected: boxes.findIndex(({ item }) => item === work.selected) };
   }
 
   /** The 3D box so far, or the whole box that is offered. @returns {Overlay[]} */
@@ -247,8 +237,8 @@ export function createTeach(/** @type {Annotate} */ at) {
     const { draft } = work;
     const lines = [];
     const look = { color: STATE_COLORS.proposed, dash: true, strong: true };
-    if (isOn && draft?.outline && !isFinished(draft.item) && !draft.item.found)
-      lines.push({ segments: draft.outline, ...look });
+    if (isOn && draft?.answer.outline && !isFinished(draft.item) && !draft.item.found)
+      lines.push({ segments: draft.answer.outline, ...look });
     const offered = whole.offered();
     if (offered) {
       const heading = imageHeading(cameraOf(currentFrame(app).image), offered.box);
@@ -262,12 +252,7 @@ export function createTeach(/** @type {Annotate} */ at) {
       const isEmpty = desk.labels().length === 0 && guesses().length > 0;
       return isEmpty ? "Click a dashed box to get its 3D box. Or drag one around another object." : "";
     }
-    return hintFor({
-      draft: work.draft,
-      isReadonly: work.isReadonly,
-      notSaved: work.notSaved.length,
-      isWholeOffered: Boolean(whole.offered()),
-    });
+    return hintFor(work);
   }
 
   // -- what the operator does
@@ -294,7 +279,8 @@ export function createTeach(/** @type {Annotate} */ at) {
   const isOwn = () =>
     Boolean(work.draft && (work.draft.changes > 0 || !(work.draft.item.found ?? work.draft.item.uid)));
 
-  const canAccept = () => (isOwn() && Boolean(work.draft?.suggestions.some(Boolean))) || Boolean(whole.offered());
+  const canAccept = () =>
+    (isOwn() && work.draft !== null && suggestionsOf(work.draft).some(Boolean)) || Boolean(whole.offered());
 
   /** What boxes enclose belongs to the project; the boxes of this frame become boxes of this kind. */
   function setKind(/** @type {Api.BoxKind} */ kind) {
@@ -313,7 +299,7 @@ export function createTeach(/** @type {Annotate} */ at) {
     const named = naming(renamed);
     work.detections = work.detections.map(named);
     for (const item of new Set([...work.items, ...work.notSaved])) relabelItem(item, named);
-    if (work.draft) work.draft.suggestions = work.draft.suggestions.map(named);
+    for (const step of work.draft?.answer.steps ?? []) step.suggested = step.suggested.map(named);
     saver.relabel(renamed);
     show();
   }
@@ -407,9 +393,7 @@ export function createTeach(/** @type {Annotate} */ at) {
     sceneDraft() {
       const { draft } = work;
       if (!isOn || !draft || work.isReadonly || draft.isLoading) return null;
-      const axes = draft.steps[1] ? secondAxes(draft.item) : null;
-      const boxes = filledBoxes(draft).map((box) => box && plainBox(box));
-      return { image_box: plainBox(draft.item.image_box), boxes, axes, box_kind: work.kind };
+      return { ...drawnObject(draft.item, filledBoxes(draft)), box_kind: work.kind };
     },
     fit() {
       for (const editor of views.editors) editor.fit();
@@ -417,8 +401,6 @@ export function createTeach(/** @type {Annotate} */ at) {
 
     async flush() {
       for (const editor of views.editors) editor.flush();
-      // a moved image box is saved with the views that follow from it
-      await work.loaded;
       await saver.idle();
     },
     /** What would be lost if the frame were left now; null if everything is saved. @returns {Unsaved | null} */
@@ -428,10 +410,6 @@ export function createTeach(/** @type {Annotate} */ at) {
       const text =
         `Not saved: ${count(saver.waiting, "change")} of this frame. ${saver.problem?.message ?? ""}`.trim();
       return { text, retry: saver.retry, discard };
-    },
-    destroy() {
-      close();
-      views.destroy();
     },
   };
 }

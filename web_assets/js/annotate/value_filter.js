@@ -4,24 +4,25 @@ import { nameOf, schemaOf, steps } from "../attributes.js";
 import { h, patch } from "../dom.js";
 
 /** `onChange` is called with what the server is to be asked. */
-export function createValueFilter(
-  /** @type {ModeApp} */ app,
-  /** @type {(query: import("./queue.js").ValueQuery) => unknown} */ onChange,
-) {
-  /** The attribute of each option that is typed, by the option's value. @type {Map<string, Attribute>} */
-  let typed = new Map();
-  /** What each option asks, by its value. @type {Map<string, import("./queue.js").ValueQuery>} */
-  let queries = new Map();
+export function createValueFilter(/** @type {ModeApp} */ app, /** @type {(query: ValueQuery) => unknown} */ onChange) {
+  /**
+   * Each option by its value: its text, what it asks, and what may be typed to ask for less.
+   *
+   * @type {Map<string, { text: string, query: ValueQuery, typed?: "text" | "number" }>}
+   */
+  let options = new Map();
   /** @type {HTMLSelectElement} */
   const select = h("select", {
     "aria-label": "Attribute in the queue",
     "data-testid": "queue-attribute",
     onchange: choose,
   });
-  const low = input("low", "from", "number");
-  const high = input("high", "to", "number");
-  const contains = input("contains", "contains", "text");
-  const root = h("span.value-filter", select, low, high, contains);
+  const inputs = [
+    input("low", "from", "number"),
+    input("high", "to", "number"),
+    input("contains", "contains", "text"),
+  ];
+  const root = h("span.value-filter", select, inputs);
 
   /** @returns {HTMLInputElement} */
   function input(
@@ -31,6 +32,7 @@ export function createValueFilter(
   ) {
     return h("input", {
       type,
+      name,
       step: type === "number" ? "any" : null,
       placeholder,
       hidden: true,
@@ -41,31 +43,24 @@ export function createValueFilter(
   }
 
   function choose() {
-    const attribute = typed.get(select.value);
-    for (const each of [low, high, contains]) each.value = "";
+    for (const each of inputs) each.value = "";
     showInputs();
-    if (!attribute) select.blur();
-    else if (attribute.kind === "text") contains.focus();
-    else low.focus();
+    const first = inputs.find(({ hidden }) => !hidden);
+    if (first) first.focus();
+    else select.blur();
     onChange(query());
   }
 
   function showInputs() {
-    const attribute = typed.get(select.value);
-    low.hidden = high.hidden = !attribute || attribute.kind === "text";
-    contains.hidden = attribute?.kind !== "text";
+    for (const each of inputs) each.hidden = each.type !== options.get(select.value)?.typed;
   }
 
-  /** @returns {import("./queue.js").ValueQuery} */
+  /** @returns {ValueQuery} */
   function query() {
-    const attribute = typed.get(select.value);
-    if (!attribute) return queries.get(select.value) ?? {};
-    // the kind of the attribute may have changed since something was typed
-    const asked = Object.entries(
-      attribute.kind === "text" ? { contains: contains.value.trim() } : { low: low.value, high: high.value },
-    );
-    const given = asked.filter(([, text]) => text !== "");
-    return { attribute: attribute.name, ...(given.length > 0 ? Object.fromEntries(given) : { known: "true" }) };
+    const asked = options.get(select.value)?.query ?? {};
+    const given = inputs.filter(({ hidden, value }) => !hidden && value.trim() !== "");
+    if (given.length === 0) return asked;
+    return { attribute: asked.attribute, ...Object.fromEntries(given.map(({ name, value }) => [name, value.trim()])) };
   }
 
   return {
@@ -73,28 +68,22 @@ export function createValueFilter(
     query,
     /** Fills in the attributes of the project. Returns true if the chosen one is gone. */
     fill() {
-      /** @type {Map<string, string>} */
-      const texts = new Map();
-      typed = new Map();
-      queries = new Map();
+      options = new Map();
       for (const attribute of schemaOf(app)) {
         const { name, kind, of } = attribute;
         const shown = of === "frame" ? `${name} of the frame` : name;
         const values = steps(attribute);
-        texts.set(`${name}=`, `${shown}: none`);
-        queries.set(`${name}=`, { attribute: name });
+        options.set(`${name}=`, { text: `${shown}: none`, query: { attribute: name } });
         for (const value of values ?? []) {
-          texts.set(`${name}=${value}`, `${shown}: ${nameOf(value)}`);
-          queries.set(`${name}=${value}`, { attribute: name, value: String(value) });
+          const query = { attribute: name, value: String(value) };
+          options.set(`${name}=${value}`, { text: `${shown}: ${nameOf(value)}`, query });
         }
-        const last = `${name}~`;
-        const typedIn = kind === "text" ? "contains …" : "from … to …";
-        texts.set(last, `${shown}: ${values ? "any" : typedIn}`);
-        if (values) queries.set(last, { attribute: name, known: "true" });
-        else typed.set(last, attribute);
+        const typed = values ? undefined : kind === "text" ? "text" : "number";
+        const last = { any: "any", text: "contains …", number: "from … to …" }[typed ?? "any"];
+        options.set(`${name}~`, { text: `${shown}: ${last}`, query: { attribute: name, known: "true" }, typed });
       }
-      root.hidden = texts.size === 0;
-      const isGone = refill(select, "All attributes", texts);
+      root.hidden = options.size === 0;
+      const isGone = refill(select, "All attributes", new Map([...options].map(([value, { text }]) => [value, text])));
       showInputs();
       return isGone;
     },

@@ -6,7 +6,7 @@
 import { classColor } from "../colors.js";
 import { button, h } from "../dom.js";
 import { createEditor } from "../editor2d/editor.js";
-import { filledBoxes } from "./draft.js";
+import { filledBoxes, suggestionsOf } from "./draft.js";
 import { progressOf } from "./items.js";
 
 /** Name and test id of each view. */
@@ -23,23 +23,19 @@ const KINDS = [
   ["box", "Whole object", "Boxes enclose the whole object, hidden parts included."],
 ];
 
-/**
- * @param {ModeApp} app
- * @param {object} listeners
- * @param {(index: number, box: Box2D, actions: number) => void} listeners.onBox called when a
- *     box was set on view `index` (0 to 3).
- * @param {(index: number, actions: number) => void} listeners.onClear called when a view's box was deleted.
- * @param {(kind: Api.BoxKind) => void} listeners.onKind called with what the boxes are to enclose.
- * @param {() => string} listeners.newLabel
- */
-export function createViewsPane(app, { onBox, onClear, onKind, newLabel }) {
+export function createViewsPane(/** @type {Work} */ work) {
   const panes = VIEWS.map(([name, testid], index) => makePane(name, testid, index));
   const messages = [0, 1].map((step) =>
     h("p.views-message", { role: "status", "data-testid": step ? "views-message-2" : "views-message" }),
   );
   const source = h("p.muted.views-source", { role: "status", "data-testid": "views-source" });
   const kinds = KINDS.map(([kind, text, title]) =>
-    button(text, () => onKind(kind), { role: "radio", title, "aria-checked": "false", "data-testid": `kind-${kind}` }),
+    button(text, () => work.setKind(kind), {
+      role: "radio",
+      title,
+      "aria-checked": "false",
+      "data-testid": `kind-${kind}`,
+    }),
   );
   const pairs = [0, 1].map((step) =>
     h("div.pair", panes[2 * step].element, panes[2 * step + 1].element, messages[step]),
@@ -62,11 +58,12 @@ export function createViewsPane(app, { onBox, onClear, onKind, newLabel }) {
     const editor = createEditor(host, {
       label: `${name} view`,
       single: true,
-      color: ({ label }) => classColor(app.state.project, label),
-      newLabel,
+      until: work.until,
+      color: ({ label }) => classColor(work.app.state.project, label),
+      newLabel: () => work.draft?.item.image_box.label ?? "",
       onChange(boxes, why, changed, actions) {
-        if (why === "delete") onClear(index, actions);
-        else onBox(index, boxes[changed], actions);
+        if (why === "delete") work.objects.clearViewBox(index, actions);
+        else work.objects.setViewBox(index, boxes[changed], actions);
       },
     });
     host.append(caption);
@@ -75,8 +72,14 @@ export function createViewsPane(app, { onBox, onClear, onKind, newLabel }) {
 
   /** @param {Draft | null} draft the current object. */
   function show(draft) {
-    const views = draft?.steps.flatMap((step) => step.views) ?? [];
+    for (const editor of editors) editor.setReadonly(work.isReadonly);
+    KINDS.forEach(([name], i) => {
+      kinds[i].setAttribute("aria-checked", String(name === work.kind));
+      kinds[i].disabled = work.isReadonly;
+    });
+    const views = draft?.answer.steps.flatMap((step) => step.views) ?? [];
     source.textContent = source.title = sourceOf(draft);
+    const suggestions = draft ? suggestionsOf(draft) : [];
     pairs.forEach((pair, step) => {
       const text = viewsMessage(draft, step);
       messages[step].textContent = text ?? "";
@@ -86,7 +89,7 @@ export function createViewsPane(app, { onBox, onClear, onKind, newLabel }) {
       const view = views[index] ?? null;
       void editor.setPicture(view?.url ?? null, view?.width, view?.height);
       const box = draft?.item.boxes[index] ?? null;
-      const suggested = box ? null : (draft?.suggestions[index] ?? null);
+      const suggested = suggestions[index] ?? null;
       const list = box ? [{ ...box, caption: "" }] : suggested ? [{ ...suggested, suggested: true, caption: "" }] : [];
       if (!editor.isDragging) editor.setBoxes(view ? list : [], 0);
       caption.textContent = box ? `${name} ✓` : name;
@@ -98,18 +101,6 @@ export function createViewsPane(app, { onBox, onClear, onKind, newLabel }) {
     root,
     show,
     editors,
-    showKind(/** @type {Api.BoxKind} */ kind, /** @type {boolean} */ isReadonly) {
-      KINDS.forEach(([name], i) => {
-        kinds[i].setAttribute("aria-checked", String(name === kind));
-        kinds[i].disabled = isReadonly;
-      });
-    },
-    setReadonly(/** @type {boolean} */ value) {
-      for (const editor of editors) editor.setReadonly(value);
-    },
-    destroy() {
-      for (const editor of editors) editor.destroy();
-    },
   };
 }
 
@@ -117,21 +108,20 @@ export function createViewsPane(app, { onBox, onClear, onKind, newLabel }) {
 
 const SIDES = ["front", "side"];
 
-/** @param {{draft: Draft | null, isReadonly: boolean, notSaved: number, isWholeOffered: boolean}} situation */
-export function hintFor({ draft, isReadonly, notSaved, isWholeOffered }) {
+export function hintFor(/** @type {Work} */ { draft, isReadonly, notSaved, whole }) {
   if (isReadonly) return "This frame is finalised. Reopen it to change something.";
-  if (notSaved) return "Click the dashed box marked 'yours, not saved' to save it.";
+  if (notSaved.length) return "Click the dashed box marked 'yours, not saved' to save it.";
   if (!draft) return "Select a box, or draw one around an object on the image.";
   const name = draft.item.image_box.label;
-  if (isWholeOffered) {
+  if (whole.offered()) {
     const others = (draft.whole?.boxes.length ?? 0) > 1 ? ", W shows another one" : "";
     return `The ${name} is finished. Space takes the dashed box as the whole ${name}${others}.`;
   }
   if (draft.item.uid && draft.item.boxes.every(Boolean))
     return `The ${name} is finished. Draw a box around the next one.`;
-  if (draft.stop) return "Change its box on the image, or delete it. C copies the previous frame's boxes.";
+  if (draft.answer.stop) return "Change its box on the image, or delete it. C copies the previous frame's boxes.";
   if (draft.isLoading) return `Looking for the ${name} …`;
-  if (!draft.steps.length) return "";
+  if (!draft.answer.steps.length) return "";
   if (hasSuggestions(draft)) return "Space takes the dashed boxes. Or drag an edge.";
   const step = draft.item.boxes[0] && draft.item.boxes[1] ? 1 : 0;
   const missing = [2 * step, 2 * step + 1].filter((index) => !draft.item.boxes[index]);
@@ -142,24 +132,23 @@ export function hintFor({ draft, isReadonly, notSaved, isWholeOffered }) {
 
 /** True if Enter would finish an object: each of its views has a box, and some of these are suggested. */
 function hasSuggestions(/** @type {Draft} */ draft) {
-  return draft.suggestions.some(Boolean) && filledBoxes(draft).every(Boolean);
+  return suggestionsOf(draft).some(Boolean) && filledBoxes(draft).every(Boolean);
 }
 
 /** The text shown in place of a step's views; null if there are views. */
 export function viewsMessage(/** @type {Draft | null} */ draft, /** @type {number} */ step) {
-  if (draft?.steps[step]) return null;
-  if (step === 1) {
-    if (!draft?.steps.length) return "";
-    return draft.stop ?? "Two more views appear here once both boxes are drawn.";
-  }
-  if (!draft) return "An object's views appear here once you have drawn its box on the image.";
-  return draft.stop ?? (draft.isLoading ? "Looking for the object …" : "");
+  if (!draft) return step === 1 ? "" : "An object's views appear here once you have drawn its box on the image.";
+  const { steps, stop } = draft.answer;
+  if (steps[step]) return null;
+  if (step === 1) return steps.length ? (stop ?? "Two more views appear here once both boxes are drawn.") : "";
+  return stop ?? (draft.isLoading ? "Looking for the object …" : "");
 }
 
 /** Which detector suggests the boxes, or why none are suggested. */
 export function sourceOf(/** @type {Draft | null} */ draft) {
-  if (!draft?.steps.length || draft.isLoading || draft.item.boxes.every(Boolean)) return "";
-  if (draft.detector === "loading") return "The detector is being loaded …";
-  if (!draft.measuredBy) return "";
-  return draft.note ? `No dashed boxes (${draft.measuredBy}): ${draft.note}` : `Dashed boxes: ${draft.measuredBy}`;
+  if (!draft?.answer.steps.length || draft.isLoading || draft.item.boxes.every(Boolean)) return "";
+  const { detector, measured_by: name, note } = draft.answer;
+  if (detector === "loading") return "The detector is being loaded …";
+  if (!name) return "";
+  return note ? `No dashed boxes (${name}): ${note}` : `Dashed boxes: ${name}`;
 }

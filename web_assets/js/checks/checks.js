@@ -45,28 +45,21 @@ export function mount(root, app, until) {
   function show(/** @type {Api.CheckReport} */ { warnings, labels, unreadable, uncounted }) {
     note.textContent =
       uncounted > 0 ? `Counting points: ${count(uncounted, "frame")} left …` : `${count(labels, "box")} checked.`;
-    const failed = unreadable.length
-      ? [h("div.error-box", { role: "alert" }, `What cannot be read:\n${unreadable.join("\n")}`)]
-      : [];
     const kinds = new Map(KINDS.map(([kind, ...words]) => [kind, words]));
     for (const { kind } of warnings) if (!kinds.has(kind)) kinds.set(kind, [kind, ""]);
-    const groups = [...kinds].flatMap(([kind, [title, help]]) => {
+    const groups = [...kinds].map(([kind, [title, help]]) => {
       const matching = warnings.filter((warning) => warning.kind === kind);
-      return matching.length > 0 ? [group(kind, title, help, matching)] : [];
+      return matching.length > 0 && group(kind, title, help, matching);
     });
-    patch(body, failed, groups.length ? groups : nothingWrong(labels));
+    const failed = unreadable.length > 0 && errorBox(`What cannot be read:\n${unreadable.join("\n")}`);
+    patch(body, failed, groups.some(Boolean) ? groups : nothingWrong(labels));
   }
 
   function nothingWrong(/** @type {number} */ labels) {
-    const href = (/** @type {string} */ mode) => makeHash(app.state.route.project, mode);
-    const said = labels
-      ? nothing(
-          "Nothing looks wrong",
-          "Sizes, points, headings and overlaps were checked.",
-          href("export"),
-          "Export the boxes",
-        )
-      : nothing("No boxes yet", "Draw some, or let the detectors propose them.", href("annotate"), "Annotate");
+    const [title, text, mode, action] = labels
+      ? ["Nothing looks wrong", "Sizes, points, headings and overlaps were checked.", "export", "Export the boxes"]
+      : ["No boxes yet", "Draw some, or let the detectors propose them.", "annotate", "Annotate"];
+    const said = nothing(title, text, makeHash(app.state.route.project, mode), action);
     said.classList.add("panel");
     said.dataset.testid = "no-warnings";
     return said;
@@ -81,24 +74,20 @@ export function mount(root, app, until) {
     const rows = matching.slice(0, LISTED).map(row);
     if (matching.length > LISTED)
       rows.push(h("li.muted.pad", `and ${count(matching.length - LISTED, "more", "more")}`));
-    return h(
-      "section.panel",
-      { "data-testid": `checks-${kind}` },
+    return h("section.panel", { "data-testid": `checks-${kind}` }, [
       h("header", h("h2", title), h("span.chip.number", String(matching.length)), h("span.muted", help)),
       h("ul.warnings", rows),
-    );
+    ]);
   }
 
   function row(/** @type {Api.WarningRow} */ { frame, number, key, recording, uid, message }) {
     const href = makeHash(app.state.route.project, "annotate", frame, { uid });
     return h(
       "li",
-      h(
-        "a",
-        { href, title: key, "data-testid": "warning", "data-uid": uid },
+      h("a", { href, title: key, "data-testid": "warning", "data-uid": uid }, [
         h("span.grow", message),
         h("span.muted.number", `${recording}, frame ${number ?? key}`),
-      ),
+      ]),
     );
   }
 

@@ -2,11 +2,14 @@
 
 import { projectPath } from "../api.js";
 import { classColor } from "../colors.js";
-import { openDialog } from "../dialogs.js";
+import { CANCEL, confirm, openDialog } from "../dialogs.js";
 import { button, count, h, iconButton, patch } from "../dom.js";
-import { errorBox, onEnter, showProblem } from "../forms.js";
-import { askMerge, askRemove, askRemoveAttribute, askRename, boxesOf } from "./asking.js";
-import { attributeForm, describe } from "./attribute_form.js";
+import { errorBox, field, onEnter, select, showProblem } from "../forms.js";
+import { attributeForm } from "./attribute_form.js";
+
+const UNDO = "Undo (Ctrl+Z) takes it back.";
+
+/** @typedef {Parameters<ChangeClasses>[0]} Change */
 
 /** Shows the classes and attributes of a project until it is closed. */
 export async function editClasses(/** @type {App} */ app, /** @type {string} */ project) {
@@ -39,7 +42,7 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
 
   const schema = () => /** @type {Attribute[]} */ (/** @type {unknown} */ (listed.attributes));
 
-  async function change(/** @type {Parameters<ChangeClasses>[0]} */ body) {
+  async function change(/** @type {Change} */ body) {
     await app.api.post(path, body);
     showProblem(problem, null);
     await refresh();
@@ -47,7 +50,7 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
   }
 
   /** Makes a change of this dialog's own fields; a problem is shown, and the fields show what is stored. */
-  async function put(/** @type {Parameters<ChangeClasses>[0]} */ body) {
+  async function put(/** @type {Change} */ body) {
     showProblem(problem, null);
     try {
       await change(body);
@@ -107,42 +110,109 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
       onchange: (event) => style({ key: fieldOf(event).value.trim().toLowerCase() || null }),
     });
     const isOnly = { disabled: names.length < 2 };
-    return h(
-      "div.class-row",
-      { "data-testid": "class-row", "data-name": label, "data-key": label },
+    return h("div.class-row", { "data-testid": "class-row", "data-name": label, "data-key": label }, [
       h("span.row", index < 9 ? h("kbd", String(index + 1)) : null),
       picked,
       colour ? iconButton("close", `Default colour for ${label}`, () => style({ colour: null })) : h("span"),
       h("strong.ellipsis", { title: label }, label),
       h("label.row.muted", "Alt", typed),
-      h("span.muted.number", { "data-testid": "class-counts" }, boxesOf(row)),
-      h(
-        "span.row",
+      h("span.muted.number", { "data-testid": "class-counts" }, row.boxes),
+      h("span.row", [
         movers(label, names, (order) => put({ do: "order", names: order })),
-        button("Rename", () => askRename(row, change)),
-        button("Merge", () => askMerge(row, names, change), isOnly),
-        button("Remove", () => askRemove(row, change), isOnly),
-      ),
-    );
+        button("Rename", () => rename(row)),
+        button("Merge", () => merge(row, names), isOnly),
+        button("Remove", () => removeClass(row), isOnly),
+      ]),
+    ]);
   }
 
   function attributeRow(/** @type {Attribute} */ attribute, /** @type {string[]} */ names) {
     const { name } = attribute;
     const all = schema().map((each) => each.name);
     const values = listed.values[name] ?? 0;
-    return h(
-      "div.attribute-row",
-      { "data-testid": "attribute-row", "data-name": name, "data-key": name },
-      h("span.grow", h("strong", name), ` ${describe(attribute)}`),
+    return h("div.attribute-row", { "data-testid": "attribute-row", "data-name": name, "data-key": name }, [
+      h("span.grow", h("strong", name), ` ${listed.words[name]}`),
       h("span.muted.number", count(values, "value")),
-      h(
-        "span.row",
+      h("span.row", [
         movers(name, all, (order) => put({ do: "order_attributes", names: order })),
         button("Edit", () => attributeForm({ attribute, classes: names, attributes: schema(), change })),
-        button("Rename", () => askRename({ ...attribute, values }, change)),
-        button("Remove", () => askRemoveAttribute(attribute, values, change)),
-      ),
-    );
+        button("Rename", () => rename({ ...attribute, values })),
+        button("Remove", () => removeAttribute(name, values)),
+      ]),
+    ]);
+  }
+
+  // -- the questions before a change, which say what happens to the boxes
+
+  /** Asks what a change needs; one that is refused is said in the dialog. */
+  const ask = (
+    /** @type {string} */ title,
+    /** @type {Child[]} */ content,
+    /** @type {string} */ label,
+    /** @type {() => Change} */ read,
+  ) =>
+    openDialog({
+      title,
+      content,
+      testid: "ask-classes",
+      actions: [CANCEL, { label, value: "apply" }],
+      submit: () => change(read()),
+    });
+
+  /** Renames a class, an attribute, or one of its choices. */
+  function rename(/** @type {Api.ClassRow | (Attribute & { values: number })} */ what) {
+    const isClass = "labels" in what;
+    const { name: old } = what;
+    const choices = isClass ? [] : (what.choices ?? []);
+    const input = h("input", { value: old, maxlength: 64, autofocus: true, "data-testid": "ask-name" });
+    /** @type {HTMLSelectElement} */
+    const part = select([["", "the attribute"], ...choices.map((each) => [each, `the choice ${each}`])], {
+      "data-testid": "ask-part",
+      onchange: () => Object.assign(input, { value: part.value || old }),
+    });
+    const follows = isClass ? `${what.boxes}, and what detectors find` : count(what.values, "value");
+    const content = [
+      choices.length > 0 && field("What", part),
+      field("New name", input),
+      h("p.help", `Follows: ${follows}. ${UNDO}`),
+      choices.length > 0 && h("p.help", "The name of another choice merges both."),
+    ];
+    return ask(`Rename ${old}`, content, "Rename", () => {
+      const fresh = input.value.trim();
+      if (!fresh) throw new Error("Please give it a name.");
+      if (isClass) return { do: "rename", name: old, new: fresh };
+      return { do: "rename_attribute", name: old, new: fresh, choice: part.value || null };
+    });
+  }
+
+  function merge(/** @type {Api.ClassRow} */ row, /** @type {string[]} */ names) {
+    const others = names.filter((each) => each !== row.name).map((each) => [each]);
+    const into = select(others, { "data-testid": "ask-into" });
+    const content = [
+      field("Give its boxes to", into),
+      h("p", `The other class gets ${row.boxes}, and ${row.name} is removed.`),
+      h("p.help", UNDO),
+    ];
+    return ask(`Merge ${row.name}`, content, "Merge", () => ({ do: "merge", names: [row.name], into: into.value }));
+  }
+
+  /** Removes a class; one with boxes only with these. */
+  async function removeClass(/** @type {Api.ClassRow} */ row) {
+    const isUsed = row.labels + row.boxes_2d + row.said > 0;
+    const text = isUsed
+      ? `Deletes ${row.boxes}, too. "Merge" gives them to another class instead.`
+      : "No box is of this class.";
+    const label = isUsed ? `Remove it with ${row.boxes}` : "Remove";
+    if (await confirm(`Remove ${row.name}`, `${text} ${UNDO}`, label, "danger"))
+      await put({ do: "remove", name: row.name, with_boxes: isUsed });
+  }
+
+  async function removeAttribute(/** @type {string} */ attribute, /** @type {number} */ values) {
+    const text = values
+      ? `${count(values, "value")} of it will be removed, too.`
+      : "No box and no frame has a value of it.";
+    if (await confirm(`Remove ${attribute}`, `${text} ${UNDO}`, "Remove", "danger"))
+      await put({ do: "remove_attribute", name: attribute });
   }
 
   function addAttribute() {

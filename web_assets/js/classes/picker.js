@@ -72,39 +72,57 @@ export async function askClass(/** @type {ModeApp} */ app) {
   });
 }
 
-/** Buttons for the classes; the digit keys do the same. Two tools show all of many, and change them. */
-export function createClassPicker(/** @type {ModeApp} */ app, /** @type {(name: string) => void} */ onPick) {
+/**
+ * The class of the next box, that of the box that was selected last, or the one that was picked since: buttons for the
+ * classes; the digit keys do the same. Two tools show all of many, and change them.
+ */
+export function createNextClass(/** @type {HTMLElement} */ host, /** @type {ModeApp} */ app) {
   const root = h("div.class-picker", { role: "radiogroup", "aria-label": "Class" });
   const more = button([], () => void ask(), { "data-testid": "all-classes", title: "Choose from all classes (/)" });
   const change = () => editClasses(app, app.state.project.name);
   const edit = iconButton("edit", "Change the classes and attributes", change, { "data-testid": "edit-classes" });
+  host.append(h("header", h("h2.grow.ellipsis", "Class of the next box"), more, edit), root);
   /** The classes by their use when the mode was opened; those that came later are last. @type {string[]} */
   let used = [];
-  let picked = "";
-  if (app.state.project.classes.length > ALL)
-    byUse(app).then((names) => {
-      used = names;
-      show(picked);
-    }, app.toast);
+  /** @type {string | null} */
+  let picked = null;
+  if (app.state.project.classes.length > ALL) void readUse();
+
+  async function readUse() {
+    used = await byUse(app);
+    show();
+  }
+
+  // none while the project is being left
+  const classesNow = () => /** @type {App} */ (app).state.project?.classes ?? [];
+
+  /** The first class if the picked one was removed. */
+  const label = () => (picked !== null && classesNow().includes(picked) ? picked : classesNow()[0]);
 
   async function ask() {
     const name = await askClass(app);
-    if (name !== null) onPick(name);
+    if (name !== null) pick(name);
   }
 
-  function show(/** @type {string} */ current) {
-    picked = current;
-    const { classes } = app.state.project;
+  function pick(/** @type {string} */ name) {
+    picked = name;
+    show();
+  }
+
+  function show() {
+    const classes = classesNow();
+    const current = label();
+    if (current === undefined) return;
     const isMany = classes.length > ALL;
     const known = used.filter((name) => classes.includes(name));
     const few = isMany ? [...new Set([...known, ...classes])].slice(0, FEW) : classes;
     const shown = !isMany || few.includes(current) ? few : [...few.slice(0, FEW - 1), current];
-    const buttons = shown.map((label) =>
-      button([swatchOf(app, label), h("span.ellipsis", label), digitOf(app, label)], () => onPick(label), {
+    const buttons = shown.map((name) =>
+      button([swatchOf(app, name), h("span.ellipsis", name), digitOf(app, name)], () => pick(name), {
         role: "radio",
-        "aria-checked": String(label === current),
-        "data-testid": `class-${label}`,
-        "data-key": label,
+        "aria-checked": String(name === current),
+        "data-testid": `class-${name}`,
+        "data-key": name,
       }),
     );
     patch(root, buttons);
@@ -112,5 +130,11 @@ export function createClassPicker(/** @type {ModeApp} */ app, /** @type {(name: 
     patch(more, `+ ${classes.length - shown.length}`, h("kbd", "/"));
   }
 
-  return { root, tools: [more, edit], show, ask };
+  return {
+    get label() {
+      return label();
+    },
+    pick,
+    show,
+  };
 }

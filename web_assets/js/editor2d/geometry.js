@@ -24,6 +24,9 @@ export function edgesBetween(/** @type {Point} */ [ax, ay], /** @type {Point} */
   return { x_min: Math.min(ax, bx), y_min: Math.min(ay, by), x_max: Math.max(ax, bx), y_max: Math.max(ay, by) };
 }
 
+const xOf = (/** @type {Rect} */ { x_min, x_max }) => [x_min, x_max];
+const yOf = (/** @type {Rect} */ { y_min, y_max }) => [y_min, y_max];
+
 /**
  * A box shifted as a whole, as far as the limits let it.
  *
@@ -34,20 +37,15 @@ export function edgesBetween(/** @type {Point} */ [ax, ay], /** @type {Point} */
  * @param {Rect} limits
  */
 export function moved(box, dx, dy, limits) {
-  const x = clampShift(dx, box.x_min, box.x_max, limits.x_min, limits.x_max);
-  const y = clampShift(dy, box.y_min, box.y_max, limits.y_min, limits.y_max);
-  return { ...box, x_min: box.x_min + x, x_max: box.x_max + x, y_min: box.y_min + y, y_max: box.y_max + y };
+  const [left, right] = movedSpan(xOf(box), dx, xOf(limits));
+  const [top, bottom] = movedSpan(yOf(box), dy, yOf(limits));
+  return { ...box, x_min: left, y_min: top, x_max: right, y_max: bottom };
 }
 
-/** The permitted part of a shift; a box that already extends beyond a limit may still be moved back. */
-function clampShift(
-  /** @type {number} */ shift,
-  /** @type {number} */ low,
-  /** @type {number} */ high,
-  /** @type {number} */ limitLow,
-  /** @type {number} */ limitHigh,
-) {
-  return clamp(shift, Math.min(limitLow - low, 0), Math.max(limitHigh - high, 0));
+/** One that already extends beyond a limit may still be moved back. @type {(span: Point, by: number, limits: Point) => Point} */
+function movedSpan([low, high], by, [least, most]) {
+  const shift = clamp(by, Math.min(least - low, 0), Math.max(most - high, 0));
+  return [low + shift, high + shift];
 }
 
 /**
@@ -63,22 +61,16 @@ function clampShift(
  * @param {Rect} limits
  */
 export function resized(box, sideX, sideY, dx, dy, limits) {
-  const [left, right] = shiftedEdge(box.x_min, box.x_max, sideX, dx, limits.x_min, limits.x_max);
-  const [top, bottom] = shiftedEdge(box.y_min, box.y_max, sideY, dy, limits.y_min, limits.y_max);
+  const [left, right] = resizedSpan(xOf(box), sideX, dx, xOf(limits));
+  const [top, bottom] = resizedSpan(yOf(box), sideY, dy, yOf(limits));
   return { ...box, x_min: left, y_min: top, x_max: right, y_max: bottom };
 }
 
-function shiftedEdge(
-  /** @type {number} */ low,
-  /** @type {number} */ high,
-  /** @type {number} */ side,
-  /** @type {number} */ shift,
-  /** @type {number} */ limitLow,
-  /** @type {number} */ limitHigh,
-) {
+/** @type {(span: Point, side: number, by: number, limits: Point) => Point} */
+function resizedSpan([low, high], side, by, [least, most]) {
   if (side === 0) return [low, high];
   const [fixed, edge] = side < 0 ? [high, low] : [low, high];
-  let pulled = clamp(edge + shift, Math.min(limitLow, edge), Math.max(limitHigh, edge));
+  let pulled = clamp(edge + by, Math.min(least, edge), Math.max(most, edge));
   if (Math.abs(pulled - fixed) < MIN_SIDE_PX) pulled = fixed + (side < 0 ? -MIN_SIDE_PX : MIN_SIDE_PX);
   return pulled < fixed ? [pulled, fixed] : [fixed, pulled];
 }
@@ -100,24 +92,17 @@ export function isInside(/** @type {Rect} */ box, /** @type {Point} */ [x, y]) {
  */
 export function edgeNear(box, [x, y], reach) {
   if (x < box.x_min - reach || x > box.x_max + reach || y < box.y_min - reach || y > box.y_max + reach) return null;
-  // dragging the inner half of a small box still moves it
-  const reachX = Math.min(reach, widthOf(box) / 4);
-  const reachY = Math.min(reach, heightOf(box) / 4);
-  const sideX = nearSide(x, box.x_min, box.x_max, reach, reachX);
-  const sideY = nearSide(y, box.y_min, box.y_max, reach, reachY);
+  const sideX = nearSide(x, xOf(box), reach);
+  const sideY = nearSide(y, yOf(box), reach);
   return sideX !== 0 || sideY !== 0 ? { sideX, sideY } : null;
 }
 
-function nearSide(
-  /** @type {number} */ value,
-  /** @type {number} */ low,
-  /** @type {number} */ high,
-  /** @type {number} */ outer,
-  /** @type {number} */ inner,
-) {
-  if (value >= low - outer && value <= low + inner) return -1;
-  if (value >= high - inner && value <= high + outer) return 1;
-  return 0;
+/** @type {(value: number, span: Point, reach: number) => number} */
+function nearSide(value, [low, high], reach) {
+  // dragging the inner half of a small box still moves it
+  const inner = Math.min(reach, (high - low) / 4);
+  if (value >= low - reach && value <= low + inner) return -1;
+  return value >= high - inner && value <= high + reach ? 1 : 0;
 }
 
 /** The convex hull of points, counter-clockwise; monotone chain. */

@@ -1,9 +1,9 @@
 /** The menu of a project's card: its recordings, and renaming, copying and removing it. */
 
 import { projectPath } from "../api.js";
-import { CANCEL, openDialog } from "../dialogs.js";
+import { CANCEL, confirm, openDialog } from "../dialogs.js";
 import { button, count, dateOf, glyph, h } from "../dom.js";
-import { checkbox, field } from "../forms.js";
+import { checkbox, field, partsOf } from "../forms.js";
 
 import { manageRecordings } from "./recordings.js";
 
@@ -12,21 +12,20 @@ import { manageRecordings } from "./recordings.js";
  *
  * @param {App} app
  * @param {Api.ProjectSummary} project
- * @param {() => unknown} refresh called when something has changed.
- * @param {(job: Api.Job) => unknown} onJob called with a job that was started.
+ * @param {import("./start.js").Act} act
  */
-export function createMenu(app, project, refresh, onJob) {
+export function createMenu(app, project, act) {
   const { name } = project;
-  const item = (/** @type {string} */ id, /** @type {string} */ label, /** @type {() => Promise<unknown>} */ act) =>
-    button(label, () => run(act), { class: "quiet", role: "menuitem", "data-testid": `${id}-${name}` });
+  const item = (
+    /** @type {string} */ id,
+    /** @type {string} */ label,
+    /** @type {Parameters<typeof act>[0]} */ change,
+  ) => button(label, act(change), { class: "quiet", role: "menuitem", "data-testid": `${id}-${name}` });
   const remove = item("remove", "Remove …", () => removeProject(app, project));
   const others = [
     item("recordings", "Recordings …", () => manageRecordings(app, name)),
     item("rename", "Rename …", () => rename(app, name)),
-    item("copy", "Copy …", async () => {
-      const job = await copy(app, project);
-      if (job) onJob(job);
-    }),
+    item("copy", "Copy …", () => copy(app, project)),
   ];
   const items = [project.problem ? [] : others, remove].flat();
   const list = h("div.menu", { popover: "auto", role: "menu", "aria-label": `Project ${name}` }, items);
@@ -43,16 +42,6 @@ export function createMenu(app, project, refresh, onJob) {
     list.style.top = `${bottom}px`;
     list.style.right = `${document.documentElement.clientWidth - right}px`;
   });
-
-  async function run(/** @type {() => Promise<unknown>} */ act) {
-    list.hidePopover();
-    try {
-      await act();
-    } finally {
-      await refresh();
-    }
-  }
-
   return [opener, list];
 }
 
@@ -61,9 +50,9 @@ function nameField(/** @type {Attributes} */ attributes) {
   return h("input", { required: true, maxlength: 64, autofocus: true, autocomplete: "off", ...attributes });
 }
 
-function rename(/** @type {App} */ app, /** @type {string} */ project) {
+async function rename(/** @type {App} */ app, /** @type {string} */ project) {
   const input = nameField({ value: project, "data-testid": "new-name" });
-  return openDialog({
+  await openDialog({
     title: `Rename ${project}`,
     testid: "rename-dialog",
     content: [
@@ -99,68 +88,34 @@ function copy(/** @type {App} */ app, /** @type {Api.ProjectSummary} */ project)
   });
 }
 
-function removeProject(/** @type {App} */ app, /** @type {Api.ProjectSummary} */ project) {
+async function removeProject(/** @type {App} */ app, /** @type {Api.ProjectSummary} */ project) {
   const { name, problem } = project;
-  const labels = numberOfLabels(project);
-  const input = nameField({ "data-testid": "new-name" });
-  const mustType = labels > 0 || Boolean(problem);
-  return openDialog({
-    title: `Remove ${name}`,
-    testid: "remove-dialog",
-    content: [
-      h(
-        "p",
-        problem
-          ? "It cannot be opened, so what it holds is not known."
-          : `It has ${count(project.recordings, "recording")} and ${count(labels, "label")}.`,
-      ),
-      h(
-        "p.help",
-        "Nothing is deleted: you can bring it back, with labels and detectors, at the end of the list of projects. " +
-          "The files of its recordings stay where they are.",
-      ),
-      mustType && field(`To remove it, type its name: ${name}`, input),
-    ],
-    actions: [CANCEL, { label: "Remove", value: "remove", kind: "danger" }],
-    submit() {
-      if (mustType && input.value.trim() !== name) throw new Error(`Please type the name of the project: ${name}`);
-      return app.api.del(projectPath(name));
-    },
-  });
+  const holds = problem
+    ? "It cannot be opened, so what it holds is not known."
+    : `It has ${count(project.recordings, "recording")} and ${count(numberOfLabels(project), "label")}.`;
+  const text =
+    `${holds} Nothing is deleted: you can bring it back, with labels and detectors, at the end of the list of projects. ` +
+    "The files of its recordings stay where they are.";
+  if (await confirm(`Remove ${name}`, text, "Remove", "danger")) await app.api.del(projectPath(name));
 }
 
 const numberOfLabels = (/** @type {Api.ProjectSummary} */ { labels_by_state: states }) =>
   Object.values(states).reduce((sum, number) => sum + number, 0);
 
-/** The removed projects, which can be brought back. */
-export function createRemoved(/** @type {App} */ app, /** @type {() => unknown} */ refresh) {
-  const list = h("ul.recordings");
-  const root = h("details", { hidden: true, "data-testid": "removed" }, h("summary", "Removed projects"), list);
-
-  async function bringBack(/** @type {Api.RemovedProject} */ { id }) {
-    try {
-      await app.api.post(`/api/removed-projects/${encodeURIComponent(id)}/restore`);
-    } finally {
-      await refresh();
-    }
-  }
-
-  const row = (/** @type {Api.RemovedProject} */ project) =>
-    h(
-      "li.row",
-      h("span.ellipsis", project.name),
-      h("span.muted", `removed ${dateOf(project.removed_s * 1000)}`),
-      button("Bring back", () => bringBack(project), { "data-testid": `bring-back-${project.name}` }),
-    );
-
-  return {
-    root,
-    async load() {
-      const removed = await app.api.get("/api/removed-projects");
-      root.hidden = removed.length === 0;
-      list.replaceChildren(...removed.map(row));
-    },
-  };
+/** A removed project, which can be brought back. */
+export function removedRow(
+  /** @type {App} */ app,
+  /** @type {Api.RemovedProject} */ { id, name, removed_s },
+  /** @type {import("./start.js").Act} */ act,
+) {
+  const restore = act(async () => {
+    await app.api.post(`/api/removed-projects/${encodeURIComponent(id)}/restore`);
+  });
+  return h("li.row", [
+    h("span.ellipsis", name),
+    h("span.muted", `removed ${dateOf(removed_s * 1000)}`),
+    button("Bring back", restore, { "data-testid": `bring-back-${name}` }),
+  ]);
 }
 
 // -- the dialog that creates a project
@@ -202,10 +157,7 @@ export function createProject(/** @type {App} */ app) {
     ],
     actions: [CANCEL, { label: "Create", value: "create" }],
     async submit(_, form) {
-      const labels = classes.value
-        .split(",")
-        .map((text) => text.trim())
-        .filter(Boolean);
+      const labels = partsOf(classes.value, ",");
       if (!name.value.trim()) throw new Error("Please give the project a name.");
       if (!labels.length) throw new Error("Please name at least one class: the kind of object that you label.");
       const chosen = new FormData(form).get("rotation");

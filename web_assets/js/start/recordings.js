@@ -19,7 +19,7 @@ const CAMERAS = [
 ];
 
 /** Shows the folders until it is closed, so that several recordings can be added. */
-export function addRecordings(/** @type {App} */ app, /** @type {string} */ project) {
+export async function addRecordings(/** @type {App} */ app, /** @type {string} */ project) {
   const done = h("div.added", { role: "status" });
   const labels = checkbox("own-labels", true);
   const choices = CAMERAS.map(({ name }, index) => [String(index), name]);
@@ -31,6 +31,17 @@ export function addRecordings(/** @type {App} */ app, /** @type {string} */ proj
     done.append(
       h("p", { class: icon === "warning" ? "warn" : null, "data-testid": "added-recording" }, glyph(icon), text),
     );
+
+  /** What can be done about what was said last, one of these. */
+  function ask(/** @type {[testid: string, text: string, act: () => unknown][]} */ ...answers) {
+    const row = h("div.row");
+    const once = (/** @type {() => unknown} */ act) => () => {
+      row.remove();
+      return act();
+    };
+    row.append(...answers.map(([testid, text, act]) => button(text, once(act), { "data-testid": testid })));
+    done.append(row);
+  }
 
   /** Lets a recording be added, once more or again; with another text it cannot be. */
   function offer(/** @type {Element} */ pick, text = "Add") {
@@ -55,29 +66,16 @@ export function addRecordings(/** @type {App} */ app, /** @type {string} */ proj
     const options = again.options ?? (await chosen());
     if (options === null) return;
     offer(pick, "Adding …");
-    const leaveOut = (/** @type {string} */ text, /** @type {object} */ more) => {
-      const leave = button(
-        text,
-        () => {
-          leave.remove();
-          void add(entry, pick, { ...again, options, leave_out_broken: true, ...more });
-        },
-        { "data-testid": "leave-out-broken" },
-      );
-      done.append(leave);
-    };
+    const repeat = (/** @type {typeof again} */ more) => () => add(entry, pick, { ...again, options, ...more });
     try {
-      const { added, job, note } = await app.api.post(projectPath(project, "recordings"), {
-        path: entry.path,
-        labels: labels.checked,
-        ...again,
-        options,
-      });
+      const body = { path: entry.path, labels: labels.checked, ...again, options };
+      const { added, job, note } = await app.api.post(projectPath(project, "recordings"), body);
       for (const one of added) {
         tell(one.broken.length > 0 ? "warning" : "check", describe(one));
         for (const text of one.broken) say("broken-frames", text);
       }
-      if (added.some((one) => one.can_leave_out)) leaveOut("Leave these frames out", { labels: false });
+      if (added.some((one) => one.can_leave_out))
+        ask(["leave-out-broken", "Leave these frames out", repeat({ labels: false, leave_out_broken: true })]);
       for (const text of new Set(added.flatMap(({ notes }) => notes))) say("reader-note", text);
       if (job) {
         takeJob(app, job);
@@ -88,23 +86,35 @@ export function addRecordings(/** @type {App} */ app, /** @type {string} */ proj
       offer(pick, note || isBag ? "Add" : "Added");
     } catch (error) {
       offer(pick);
-      const moved = error instanceof ApiError ? error.body.moved : undefined;
+      const { moved } = error instanceof ApiError ? error.body : {};
       if (moved) {
-        const choice = await askMoved(app, project, entry, moved);
-        if (choice === "new") await add(entry, pick, { ...again, options, as_new: true });
-        if (choice !== "moved") return;
-        tell("check", `${moved.name} is now at ${entry.path}, with its labels`);
-        offer(pick, "Added");
-      } else {
-        done.append(errorBox(error));
-        if (error instanceof ApiError && error.kind === "BrokenStartError")
-          leaveOut("Try all frames, and leave out those that cannot be read", {});
+        const text = `${entry.name} has the frames of the recording ${moved.name}, whose folder was not found. `;
+        say("moved", `${text}With the new path, its labels stay. Another recording begins without them.`);
+        ask(
+          ["add-as-new", "Add as another recording", repeat({ as_new: true })],
+          ["use-new-path", "Use the new path", () => move(moved, entry, pick)],
+        );
+      } else done.append(errorBox(error));
+      if (error instanceof ApiError && error.kind === "BrokenStartError") {
+        const text = "Try all frames, and leave out those that cannot be read";
+        ask(["leave-out-broken", text, repeat({ leave_out_broken: true })]);
       }
     }
     done.lastElementChild?.scrollIntoView({ block: "nearest" });
   }
 
-  return openDialog({
+  /** Sets the new path of a recording of the project that is found elsewhere. */
+  async function move(
+    /** @type {Api.MissingRecording} */ { id, name },
+    /** @type {Api.FolderEntry} */ { path },
+    /** @type {Element} */ pick,
+  ) {
+    await app.api.patch(projectPath(project, "recordings", id), { path });
+    tell("check", `${name} is now at ${path}, with its labels`);
+    offer(pick, "Added");
+  }
+
+  await openDialog({
     title: `Add recordings to ${project}`,
     testid: "add-recording-dialog",
     wide: true,
@@ -118,32 +128,6 @@ export function addRecordings(/** @type {App} */ app, /** @type {string} */ proj
   });
 }
 
-/** Offers to set the new path of a recording of the project that is found elsewhere. */
-function askMoved(
-  /** @type {App} */ app,
-  /** @type {string} */ project,
-  /** @type {Api.FolderEntry} */ entry,
-  /** @type {Api.MissingRecording} */ moved,
-) {
-  return openDialog({
-    title: `${moved.name} has moved`,
-    testid: "moved-dialog",
-    content: [
-      h("p", `${entry.name} has the frames of the recording ${moved.name}, whose folder was not found.`),
-      h("p.help", "With the new path, its labels stay. Another recording begins without them."),
-    ],
-    actions: [
-      CANCEL,
-      { label: "Add as another recording", value: "new" },
-      { label: "Use the new path", value: "moved" },
-    ],
-    async submit(value) {
-      if (value === "moved") await app.api.patch(projectPath(project, "recordings", moved.id), { path: entry.path });
-      return value;
-    },
-  });
-}
-
 function describe(/** @type {Api.AddedRecording} */ { recording, is_new, new_frames, left_out }) {
   const more = left_out ? `, ${left_out} left out` : "";
   return is_new
@@ -151,8 +135,8 @@ function describe(/** @type {Api.AddedRecording} */ { recording, is_new, new_fra
     : `${recording.name} was already in the project: ${count(new_frames, "new frame")}${more}`;
 }
 
-/** Asks for the new path of a recording. Returns the recording, or null if the dialog was cancelled. */
-export function locateRecording(
+/** Asks for the new path of a recording. */
+export async function locateRecording(
   /** @type {App} */ app,
   /** @type {string} */ project,
   /** @type {Api.MissingRecording} */ { id, name },
@@ -169,7 +153,7 @@ export function locateRecording(
       status.textContent = `Chosen: ${entry.path}`;
     },
   });
-  return openDialog({
+  await openDialog({
     title: `Find ${name}`,
     testid: "locate-dialog",
     wide: true,
@@ -206,21 +190,13 @@ export async function manageRecordings(/** @type {App} */ app, /** @type {string
     const isGone = removed_by !== null;
     const numbers = [isGone ? "" : `${count(frames, "frame")}, `, count(labels, "label")];
     const states = [isGone && `removed by ${removed_by}`, missing && "its folder was not found"].filter(Boolean);
-    return h(
-      "li.row",
-      { "data-testid": `recording-${name}`, "data-key": id },
+    return h("li.row", { "data-testid": `recording-${name}`, "data-key": id }, [
       h("span", { class: `grow ellipsis${isGone ? " muted" : ""}`, title: name }, name),
       h("span.muted.number", numbers),
       h("span", { class: missing ? "bad" : "muted" }, states.join("; ")),
-      missing
-        ? button("Locate …", () => locate(recording), { "data-testid": "locate" })
-        : isGone && button("Bring back", () => show(app.api.post(path(id, "restore"))), { "data-testid": "restore" }),
+      isGone && button("Bring back", () => show(app.api.post(path(id, "restore"))), { "data-testid": "restore" }),
       !isGone && button("Remove …", () => remove(recording), { "data-testid": "remove" }),
-    );
-  }
-
-  async function locate(/** @type {Api.ListedRecording} */ recording) {
-    if (await locateRecording(app, project, recording)) await show(app.api.get(path()));
+    ]);
   }
 
   async function remove(/** @type {Api.ListedRecording} */ { id, name, labels }) {
@@ -230,7 +206,7 @@ export async function manageRecordings(/** @type {App} */ app, /** @type {string
   }
 
   await show(app.api.get(path()));
-  return openDialog({
+  await openDialog({
     title: `Recordings of ${project}`,
     testid: "recordings-dialog",
     wide: true,
@@ -255,14 +231,8 @@ function createFolders(app, { text, testid, onPick }) {
     placeholder: "or type a path, then Enter",
     "aria-label": "Path of a folder or recording on the server",
     "data-testid": "folder-path",
-    onkeydown: onEnter(() =>
-      show(
-        typed.value
-          .trim()
-          .replace(/^["']|["']$/g, "")
-          .replace(/(.)\/$/, "$1"),
-      ),
-    ),
+    // as a terminal copies it: with quotes around it, or a slash at its end
+    onkeydown: onEnter(() => show(typed.value.trim().replace(/^["']|(?<=.)\/?["']?$/g, ""))),
   });
   const list = h("ul.folders", { "data-testid": "folders", tabindex: -1 });
   const begin = newest();
@@ -283,7 +253,7 @@ function createFolders(app, { text, testid, onPick }) {
         ...parts.flatMap((part, i) => [h("span.muted", "/"), crumb(part, parts.slice(0, i + 1).join("/"))]),
       );
       const all = here ? [{ ...here, is_folder: false }, ...entries] : entries;
-      list.replaceChildren(...all.map(row), ...explained(answer, all.length > 0));
+      list.replaceChildren(...all.map(row), ...explained(answer));
       if (document.activeElement !== typed) list.focus();
     } catch (error) {
       if (isNewest()) list.replaceChildren(h("li.error-box", { role: "alert" }, messageOf(error)));
@@ -310,12 +280,9 @@ function createFolders(app, { text, testid, onPick }) {
 }
 
 /** What is not listed, and what to look for where there is no recording. */
-function explained(/** @type {Api.FolderListing} */ { path, notes, kinds }, /** @type {boolean} */ hasAny) {
-  const lines = notes.map((text) => `${text[0].toUpperCase()}${text.slice(1)}.`);
-  if (!hasAny && !notes.length)
-    lines.push(path ? "This folder is empty." : "This server offers no folder. Whoever runs it can offer some.");
-  const about = h("details", { open: !hasAny }, h("summary", "What a recording must have"), bullets(kinds));
-  const texts = lines.map((text) => h("p", text));
-  if (!texts.length && !kinds.length) return [];
+function explained(/** @type {Api.FolderListing} */ { entries, notes, kinds }) {
+  if (!notes.length && !kinds.length) return [];
+  const texts = notes.map((text) => h("p", `${text[0].toUpperCase()}${text.slice(1)}.`));
+  const about = h("details", { open: !entries.length }, h("summary", "What a recording must have"), bullets(kinds));
   return [h("li.help", { "data-testid": "folder-notes" }, texts, kinds.length > 0 && about)];
 }

@@ -3,14 +3,16 @@
 import { projectPath } from "../api.js";
 import { editClasses } from "../classes/classes.js";
 import { STATES } from "../colors.js";
-import { button, count, glyph, h, iconButton } from "../dom.js";
+import { button, count, glyph, h, iconButton, patch } from "../dom.js";
 import { errorBox } from "../forms.js";
 import { guide } from "../guide.js";
 import { createJobLine, isActive, jobsOf, OF_START, takeJob } from "../jobs.js";
 import { makeHash } from "../router.js";
 import { importBoxes } from "./boxes_file.js";
-import { createMenu, createProject, createRemoved } from "./manage.js";
+import { createMenu, createProject, removedRow } from "./manage.js";
 import { addRecordings, locateRecording } from "./recordings.js";
+
+/** @typedef {(change: () => Promise<Api.Job | null | void>) => () => Promise<void>} Act */
 
 /** Classes that a card names; of more, it says how many there are. */
 const NAMED = 8;
@@ -35,17 +37,20 @@ export function mount(root, app, until) {
   const started = new Set();
   /** Id of the job that makes a sample for this operator. */
   let sample = "";
-  const removed = createRemoved(app, refresh);
+  const removedList = h("ul.recordings");
+  const removed = h("details", { hidden: true, "data-testid": "removed" }, [
+    h("summary", "Removed projects"),
+    removedList,
+  ]);
   /** To begin a project; where there is none yet, the list has it. */
   const begin = h("div.row");
   root.append(
-    h(
-      "div.page.start",
+    h("div.page.start", [
       h("div.row", h("h1.grow", "Projects"), begin),
       list,
-      removed.root,
+      removed,
       h("p.help", app.state.version ? `annotator ${app.state.version}` : ""),
-    ),
+    ]),
   );
 
   function newButton(look = "primary") {
@@ -85,28 +90,20 @@ export function mount(root, app, until) {
     const project = await createProject(app);
     if (!project) return;
     await refresh();
-    await andRefresh(addRecordings(app, project.name));
+    await addRecordings(app, project.name).finally(refresh);
   }
 
-  /** Shows the projects again after what was done with one of them, also if that failed. */
-  const andRefresh = (/** @type {Promise<unknown>} */ done) => done.finally(refresh);
-
-  function begun(/** @type {Api.Job} */ job) {
-    started.add(job.id);
-    takeJob(app, job);
-  }
-
-  async function addBoxes(/** @type {string} */ name) {
-    const job = await importBoxes(app, name);
-    if (job) begun(job);
-  }
-
-  /** @type {CardActions} */
-  const actions = {
-    add: (name) => andRefresh(addRecordings(app, name)),
-    addBoxes: (name) => andRefresh(addBoxes(name)),
-    locate: (name, recording) => andRefresh(locateRecording(app, name, recording)),
-    change: (name) => andRefresh(editClasses(app, name)),
+  /** Does something, then shows the projects again, also if that failed; the outcome of its job stays. @type {Act} */
+  const act = (change) => async () => {
+    for (const menu of list.querySelectorAll("[popover]")) /** @type {HTMLElement} */ (menu).hidePopover();
+    try {
+      const job = await change();
+      if (!job) return;
+      started.add(job.id);
+      takeJob(app, job);
+    } finally {
+      await refresh();
+    }
   };
 
   async function refresh() {
@@ -114,17 +111,19 @@ export function mount(root, app, until) {
     if (!app.state.operator) return;
     try {
       const projects = await app.api.get("/api/projects");
-      await removed.load();
+      const gone = await app.api.get("/api/removed-projects");
+      removed.hidden = gone.length === 0;
+      patch(
+        removedList,
+        gone.map((one) => removedRow(app, one, act)),
+      );
       const menu = list.querySelector(":popover-open");
       const text = JSON.stringify(projects);
       // new cards would take an open menu away, and a click whose button is down
       if (text === shown) return;
       if (menu) return menu.addEventListener("toggle", refresh, { once: true });
       shown = text;
-      const cards = projects.map((project) => {
-        const line = importLine(app, project.name, started);
-        return card(project, actions, line, createMenu(app, project, refresh, begun));
-      });
+      const cards = projects.map((project) => card(app, project, act, importLine(app, project.name, started)));
       begin.replaceChildren(...(cards.length ? [sampleButton(), newButton()] : []));
       list.replaceChildren(...(cards.length ? cards : [nothing()]));
     } catch (error) {
@@ -134,9 +133,7 @@ export function mount(root, app, until) {
   }
 
   function nothing() {
-    return h(
-      "div.panel.empty",
-      { "data-testid": "no-projects" },
+    return h("div.panel.empty", { "data-testid": "no-projects" }, [
       h("h2", "No project yet"),
       h(
         "ol.first-steps",
@@ -144,7 +141,7 @@ export function mount(root, app, until) {
       ),
       h("div.row", sampleButton("primary"), newButton("")),
       h("p", "The sample is a generated recording, made in some seconds. A guide leads through these steps."),
-    );
+    ]);
   }
 
   const running = () =>
@@ -171,21 +168,11 @@ function importLine(/** @type {App} */ app, /** @type {string} */ project, /** @
   });
 }
 
-/**
- * What the buttons of a card do, which get the project's name.
- *
- * @typedef {object} CardActions
- * @property {(name: string) => unknown} add
- * @property {(name: string) => unknown} addBoxes
- * @property {(name: string, recording: Api.MissingRecording) => unknown} locate
- * @property {(name: string) => unknown} change
- */
-
 function card(
+  /** @type {App} */ app,
   /** @type {Api.ProjectSummary} */ project,
-  /** @type {CardActions} */ { add, addBoxes, locate, change },
+  /** @type {Act} */ act,
   /** @type {HTMLElement} */ line,
-  /** @type {HTMLElement[]} */ menu,
 ) {
   const { name, problem } = project;
   const link = h("a", { href: makeHash(name, "annotate"), "data-testid": `open-${name}` }, name);
@@ -193,22 +180,38 @@ function card(
   const isEmpty = project.recordings === 0;
   const next = nextStep(project);
   const others = project.classes.slice(NAMED);
-  const addButton = button([glyph("plus"), "Recording"], () => add(name), {
-    class: isEmpty ? "primary" : "",
-    "data-testid": `add-recording-${name}`,
-  });
+  const addButton = button(
+    [glyph("plus"), "Recording"],
+    act(() => addRecordings(app, name)),
+    {
+      class: isEmpty ? "primary" : "",
+      "data-testid": `add-recording-${name}`,
+    },
+  );
+  const boxesButton = button(
+    [glyph("plus"), "Boxes"],
+    act(() => importBoxes(app, name)),
+    {
+      title: "Import 2D boxes on camera images, or 3D boxes as proposals or labels, from a file",
+      "data-testid": `import-boxes-${name}`,
+    },
+  );
   const done = `${project.frames_done.toLocaleString("en")} of ${count(project.frames, "frame")} done`;
   const content = problem
     ? [h("p.error-box", problem)]
     : [
-        h(
-          "p.classes",
+        h("p.classes", [
           project.classes.slice(0, NAMED).map((label) => h("span.chip", label)),
           others.length > 0 && h("span.chip", { title: others.join(", ") }, `+ ${others.length}`),
-          iconButton("edit", `Change the classes and attributes of ${name}`, () => change(name), {
-            "data-testid": `edit-classes-${name}`,
-          }),
-        ),
+          iconButton(
+            "edit",
+            `Change the classes and attributes of ${name}`,
+            act(() => editClasses(app, name)),
+            {
+              "data-testid": `edit-classes-${name}`,
+            },
+          ),
+        ]),
         h(
           "p.number.muted",
           isEmpty ? "No recording yet: add one to begin." : `${count(project.recordings, "recording")}, ${done}`,
@@ -217,27 +220,24 @@ function card(
           h("progress", { max: project.frames || 1, value: project.frames_done, "aria-label": done, title: done }),
         !isEmpty && h("p.number.states", stateCounts(project.labels_by_state)),
         ...project.missing.map((recording) =>
-          h(
-            "div.row.missing",
+          h("div.row.missing", [
             h("span.grow.bad", `${recording.name}: its folder was not found`),
-            button("Locate …", () => locate(name, recording), { "data-testid": `locate-${recording.name}` }),
-          ),
+            button(
+              "Locate …",
+              act(() => locateRecording(app, name, recording)),
+              {
+                "data-testid": `locate-${recording.name}`,
+              },
+            ),
+          ]),
         ),
         line,
         h("div.row.next", next ? goOn(name, next) : addButton),
-        h(
-          "div.row",
-          !isEmpty && addButton,
-          button([glyph("plus"), "Boxes"], () => addBoxes(name), {
-            title: "Import 2D boxes on camera images, or 3D boxes as proposals or labels, from a file",
-            hidden: isEmpty,
-            "data-testid": `import-boxes-${name}`,
-          }),
-        ),
+        !isEmpty && h("div.row", addButton, boxesButton),
       ];
   return h("section.panel.project", { "data-testid": `project-${name}`, "aria-label": name }, [
     !problem && picture(project),
-    h("div.row", title, menu),
+    h("div.row", title, createMenu(app, project, act)),
     ...content,
   ]);
 }

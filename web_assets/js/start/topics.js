@@ -2,24 +2,19 @@
 
 import { newest, withQuery } from "../api.js";
 import { CANCEL, openDialog } from "../dialogs.js";
-import { count, h } from "../dom.js";
-import { errorBox } from "../forms.js";
+import { count, h, patch } from "../dom.js";
+import { errorBox, select } from "../forms.js";
 
 /**
- * What can be chosen: its name, the options of the topics that can be named, and what a topic is used as.
+ * What can be chosen: its parameter, its name, the options of the topics that can be named, and what a topic is used as.
  *
- * @type {{ id: string, label: string, options: string[], uses: string[] }[]}
+ * @type {[string, string, string[], string[]][]}
  */
 const CHOICES = [
-  { id: "image", label: "Images", options: ["--image"], uses: ["image"] },
-  { id: "points", label: "Points or depth", options: ["--points", "--depth"], uses: ["points", "depth"] },
-  { id: "camera_info", label: "Calibration", options: ["--camera-info"], uses: ["camera"] },
-  {
-    id: "depth_info",
-    label: "Depth calibration",
-    options: ["--depth-info", "--camera-info"],
-    uses: ["camera of the depth"],
-  },
+  ["image", "Images", ["--image"], ["image"]],
+  ["points", "Points or depth", ["--points", "--depth"], ["points", "depth"]],
+  ["camera_info", "Calibration", ["--camera-info"], ["camera"]],
+  ["depth_info", "Depth calibration", ["--depth-info", "--camera-info"], ["camera of the depth"]],
 ];
 
 /**
@@ -28,57 +23,54 @@ const CHOICES = [
  * @returns {Promise<Record<string, string> | null>}
  */
 export async function chooseTopics(/** @type {App} */ app, /** @type {Api.FolderEntry} */ entry) {
-  const selects = CHOICES.map(({ id }) => h("select", { "data-testid": `topic-${id}`, onchange: () => void show() }));
-  const rows = CHOICES.map(({ label }, index) => h("label.row.bag-topic", h("span", label), selects[index]));
+  /** What the operator has chosen; the other topics are left to the server. @type {Record<string, string>} */
+  const named = {};
+  const rows = h("div.stack");
   const preview = h("figure.bag-preview", { role: "status" });
   /** @type {Api.BagPreview | null} */
   let bag = null;
   const begin = newest();
 
-  /** The options that the operator has chosen; what is not chosen is left to the server. */
-  function options() {
-    /** @type {Record<string, string>} */
-    const chosen = {};
-    for (const [index, { id }] of CHOICES.entries()) {
-      const name = selects[index].value;
-      const isDepth = bag?.topics.some((topic) => topic.name === name && topic.option === "--depth");
-      if (name) chosen[id === "points" && isDepth ? "depth" : id] = name;
-    }
-    return chosen;
-  }
-
   async function show() {
-    const chosen = options();
     const isNewest = begin();
-    preview.replaceChildren(h("figcaption.muted", "Reading the first frame …"));
+    patch(preview, h("figcaption.muted", "Reading the first frame …"));
     try {
-      const answer = await app.api.get(withQuery("/api/bags", { path: entry.path, ...chosen }));
+      const answer = await app.api.get(withQuery("/api/bags", { path: entry.path, ...named }));
       if (!isNewest()) return;
       bag = answer;
-      fill(answer, chosen);
-      preview.replaceChildren(...describe(answer));
+      patch(
+        rows,
+        CHOICES.map((choice) => row(choice, answer.topics)),
+      );
+      patch(preview, describe(answer));
     } catch (error) {
-      if (isNewest()) preview.replaceChildren(errorBox(error));
+      if (isNewest()) patch(preview, errorBox(error));
     }
   }
 
-  /**
-   * @param {Api.BagPreview} answer
-   * @param {Record<string, string>} named the topics that the operator has chosen.
-   */
-  function fill({ topics }, named) {
-    for (const [index, { id, options: flags, uses }] of CHOICES.entries()) {
-      const candidates = topics.filter(({ option }) => flags.includes(option));
-      const used = candidates.find(({ use }) => uses.includes(use));
-      const chosen = candidates.find(({ name }) => name === (named[id] ?? (id === "points" ? named.depth : "")));
-      if (id === "depth_info") rows[index].hidden = !topics.some(({ option }) => option === "--depth");
-      const automatic = used && !chosen ? `${used.name} (chosen automatically)` : "choose automatically";
-      selects[index].replaceChildren(
-        h("option", { value: "" }, automatic),
-        ...candidates.map((topic) => h("option", { value: topic.name }, nameOf(topic))),
-      );
-      selects[index].value = chosen?.name ?? "";
-    }
+  function row(
+    /** @type {(typeof CHOICES)[number]} */ [id, label, options, uses],
+    /** @type {Api.TopicReport[]} */ topics,
+  ) {
+    if (id === "depth_info" && !topics.some(({ option }) => option === "--depth")) return null;
+    const candidates = topics.filter(({ option }) => options.includes(option));
+    // a topic of depth is another option of the reader
+    const parameters = id === "points" ? ["points", "depth"] : [id];
+    const chosen = candidates.find(({ name }) => parameters.some((parameter) => named[parameter] === name));
+    const used = candidates.find(({ use }) => uses.includes(use));
+    const automatic = used && !chosen ? `${used.name} (chosen automatically)` : "choose automatically";
+    const onchange = (/** @type {Event} */ { currentTarget }) => {
+      const { value } = /** @type {HTMLSelectElement} */ (currentTarget);
+      const isDepth = candidates.some(({ name, option }) => name === value && option === "--depth");
+      for (const parameter of parameters) delete named[parameter];
+      if (value) named[isDepth ? "depth" : id] = value;
+      void show();
+    };
+    const all = [["", automatic], ...candidates.map((topic) => [topic.name, nameOf(topic)])];
+    return h("label.row.bag-topic", [
+      h("span", label),
+      select(all, { "data-testid": `topic-${id}`, onchange }, chosen?.name),
+    ]);
   }
 
   void show();
@@ -86,11 +78,11 @@ export async function chooseTopics(/** @type {App} */ app, /** @type {Api.Folder
     title: `Topics of ${entry.name}`,
     testid: "topics-dialog",
     wide: true,
-    content: [...rows, preview],
+    content: [rows, preview],
     actions: [CANCEL, { label: "Add", value: "add" }],
     submit() {
       if (!bag?.frames) throw new Error("Please choose topics that can be read first.");
-      return options();
+      return named;
     },
   });
 }
@@ -104,7 +96,7 @@ function describe(/** @type {Api.BagPreview} */ { frames, notes, problem, pictur
   if (problem) {
     // the message names the options of the command line
     const text = CHOICES.reduce(
-      (message, { label, options }) =>
+      (message, [, label, options]) =>
         options.reduce((one, flag) => one.replace(new RegExp(`${flag}(?!-)`, "g"), label), message),
       problem,
     );

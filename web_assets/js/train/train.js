@@ -46,17 +46,15 @@ export function mount(root, app, until) {
   let known = null;
 
   root.append(
-    h(
-      "div.page.wide.train-page",
+    h("div.page.wide.train-page", [
       h("h1", "Train and propose"),
-      h(
-        "section.panel",
+      h("section.panel", [
         h("header", h("h2", "Train the detectors")),
         h("div.body.stack", material, form, learning.root, line, h("div", curves.root)),
-      ),
+      ]),
       proposeHost,
       modelsHost,
-    ),
+    ]),
   );
 
   async function load() {
@@ -139,21 +137,17 @@ function createLearning(/** @type {ModeApp} */ app, /** @type {() => unknown} */
 
   for (const field of [box, every, minutes])
     field.addEventListener("change", () => (box.checked || field === box) && store());
-  const root = h(
-    "div.stack",
-    { "data-testid": "learning" },
-    h(
-      "div.row",
+  const root = h("div.stack", { "data-testid": "learning" }, [
+    h("div.row", [
       h("label.row", box, "Learn while I label"),
       h("label.row", "after every", every, "reviewed boxes,"),
       h("label.row", "for", minutes, "minutes"),
-    ),
-    h(
-      "p.help",
+    ]),
+    h("p.help", [
       "Trains the view detector in the background, while a page has this project open. It waits while you draw and ",
       "stops for other jobs. A detector that is better on held-out frames is used at once.",
-    ),
-  );
+    ]),
+  ]);
   return { root, show };
 }
 
@@ -172,32 +166,28 @@ function createForm(/** @type {ModeApp} */ app, /** @type {() => unknown} */ sho
     name: "train",
     label: "Train",
     content: (start) => [
-      h(
-        "div.row",
+      h("div.row", [
         ROLES.map(([, label], i) => h("label.row", roles[i], label)),
         h("label.row", "for", minutes, "minutes"),
         h("span.grow"),
         start,
-      ),
-      h(
-        "p.help",
+      ]),
+      h("p.help", [
         "More minutes train better. They are those of the view detector; the image detector learns longer with them. ",
         "A fifth of the frames is never trained on: a detector that is worse on these than the one in use, or finds ",
         "nothing, is not used unless you choose it below.",
-      ),
-      h(
-        "details",
+      ]),
+      h("details", [
         h("summary", "Settings"),
-        h(
-          "div.settings",
+        h("div.settings", [
           ROLES.map(([, label], i) => field(`${label}: longer side, px`, sizes[i])),
           field("Network", model),
           h(
             "p.help",
             "Larger pictures show small objects better, and take longer. An empty field uses the number shown in grey.",
           ),
-        ),
-      ),
+        ]),
+      ]),
     ],
     request() {
       const chosen = ROLES.map(([role]) => role).filter((_, i) => roles[i].checked);
@@ -229,14 +219,12 @@ function materialCard(
     ["trained on", learned],
     ["available now", available],
   ].map(([name, value]) => [h("dt", name), h("dd.number", value)]);
-  return h(
-    "div.card",
-    { "data-testid": `material-${role}` },
+  return h("div.card", { "data-testid": `material-${role}` }, [
     h("h3", label),
     h("p.muted", what),
     h("dl.figures", figures.flat()),
     help && h("p.help", help),
-  );
+  ]);
 }
 
 /** Curves of the running training, or else of the active models. */
