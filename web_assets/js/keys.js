@@ -75,7 +75,7 @@ export const KEYS = [
     ["track-split", ["E"], "Split the track here: from this frame on, it gets a new number"],
     ["track-merge", ["Shift+M"], "Merge the track with another one"],
     ["track-class", digits("Shift+"), "Class of the whole track", ["Shift", "1", "…", "9"]],
-    ["track-size", ["Z"], "The size of this box for the whole track"],
+    ["track-size", ["Z"], "One size for the whole track"],
     ["track-fill", ["I"], "Fill the track's gaps beside this box"],
     ["track-still", ["A"], "Say that the track stands still, with one box for all frames, or that it moves"],
     ["track-delete", ["Shift+Delete", "Shift+Backspace"], "Delete the track from this frame on", ["Shift", "Del"]],

@@ -48,8 +48,8 @@ export const OPERATIONS = {
   size: {
     text: "One size",
     key: "Z",
-    help: "All boxes get the size of this one. Each keeps its rotation, its bottom, and the sides that face the camera.",
-    of: ({ box }) => ({ do: "size", size_m: box.size }),
+    help: "All boxes get the size that fits them and their points: the reviewed ones, if there are any. Each keeps its rotation, its bottom, and the sides that face the camera.",
+    of: () => ({ do: "size" }),
   },
   values: {
     text: "Values",
@@ -235,7 +235,7 @@ export function createTracks(/** @type {Annotate} */ at) {
         await telling;
         if (told === null) throw new Error(note.textContent);
         if (note.textContent !== read) throw new Error("Read above what this does now, then confirm it.");
-        const sent = { ...body(), told: told.count };
+        const sent = { ...body(), operation: told.operation, told: told.count };
         app.effort.action();
         return desk.enqueue(() => app.api.change(path(track), sent));
       },
