@@ -242,7 +242,7 @@ def track_sheet(at: AtProject, recording_id: RowId, track_id: TrackId) -> Stream
 
 @router.get("/api/projects/{name}/frames/{frame_id}/sheet", response_class=StreamingResponse, responses=STREAM)
 def frame_sheet(at: AtFrame) -> StreamingResponse:
-    """The pictures of a frame's boxes, as those of a track; without those that another camera of its rig sees better."""
+    """The pictures of a frame's boxes, as those of a track; without those that another camera sees better."""
     page = read_page(at.project, at.frame_id)
     seen = sights(at.project, at.ctx.caches.frames, page)
     labels = (stored.label for stored in page.labels)

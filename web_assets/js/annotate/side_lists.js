@@ -204,6 +204,8 @@ export function createBoxList(/** @type {Annotate} */ at) {
   let request = new AbortController();
   at.parts.boxes.replaceChildren(h("header", title), note, list);
 
+  at.until.addEventListener("abort", () => request.abort());
+
   function draw() {
     const labels = desk.labels();
     // once there, their places stay until another frame is shown
@@ -242,7 +244,6 @@ export function createBoxList(/** @type {Annotate} */ at) {
       draw();
       void readPictures();
     },
-    destroy: () => request.abort(),
   };
 }
 
