@@ -1,4 +1,4 @@
-"""`annotator up`, `annotator calibrate`: what a project sets over the files of a recording."""
+"""`annotator up`, `annotator calibrate`, `annotator poses`: what a project sets over the files of a recording."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ import numpy as np
 import tyro
 
 from annotator.cli.options import AsJson, Clear, RecordingName
-from annotator.cli.output import facts, print_result
+from annotator.cli.output import counted, facts, print_result
 from annotator.project import Basis, Project
 from annotator.types import NO_CORRECTION
 from annotator.types.bases import Strict
 from annotator.types.errors import ConfigError, GeometryError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.adjusting import RecordingUp, correct_calibration, estimate_recording_up
+from annotator.workflows.recorded.poses import ProjectPoses, estimate_poses, poses_of
 
 UP_AUTHOR = "annotator up"
 ORIGINS = {"files": "from the recording's files", "project": "set in the project"}
@@ -156,3 +157,53 @@ def run_calibrate(
     if moved:
         rows.append(("labels", f"{moved} stay where they are in the clouds; train the detectors anew"))
     print_result(report, facts(rows), as_json)
+
+
+POSES_AUTHOR = "annotator poses"
+
+
+def run_poses(
+    project: Project,
+    recording: RecordingName,
+    /,
+    *,
+    estimate: bool = False,
+    replace: bool = False,
+    clear: Clear = False,
+    as_json: AsJson = False,
+) -> None:
+    """Show where the camera of a recording was, or estimate it, so that objects can stand still in the world.
+
+    An estimate registers each frame with those before it: colours and depths, or scans. Most of the scene must stand
+    still. Frames of which this is not certain get no pose, and are named. Errors add up along the way: a place that is
+    seen again corrects nothing (no loop closure).
+
+    Args:
+        estimate: estimate the poses, in one undoable step; a stopped run changes nothing.
+        replace: with --estimate, in the place of poses that the recording has.
+    """
+    if (replace and not estimate) or (estimate and clear):
+        raise ConfigError("give --estimate, with or without --replace, or --clear; neither of them shows the poses")
+    stored = project.recordings.find(recording)
+    if estimate:
+        with counted("estimate") as progress:
+            estimate_poses(project, stored.id, POSES_AUTHOR, replace=replace, progress=progress)
+    if clear:
+        project.estimates.keep(stored.id, (), POSES_AUTHOR)
+    report = poses_of(project, stored.id)
+    print_result(report, facts(_poses_rows(report)), as_json)
+
+
+def _poses_rows(report: ProjectPoses) -> Iterator[tuple[str, object]]:
+    yield "recording", report.recording
+    if (poses := report.poses) is None:
+        yield "poses", "none; --estimate finds them by what the frames show"
+        return
+    yield "poses", poses.words()
+    if (sure := report.certainty) is not None:
+        yield (
+            "certainty",
+            f"overlap {sure.overlap[0]:.2f}, least {sure.overlap[1]:.2f}; residual {sure.rmse:.4f}; grip "
+            f"{sure.grip[0]:.2f}, least {sure.grip[1]:.2f}; no loop closure",
+        )
+    yield from (("poses", problem) for problem in (*poses.gaps, *poses.jumps, *report.warnings))

@@ -47,10 +47,7 @@ def _rows(report: RecordingReport) -> Iterator[tuple[str, object]]:
     if report.origin is not None:
         yield "origin", f"{_metres(report.origin)} m in the map coordinates of the clouds (--origin sets another place)"
     if (poses := report.poses) is not None:
-        yield (
-            "poses",
-            f"{poses.posed} of {amount(poses.frames, 'frame')}, by {poses.source}; a way of {poses.way_m:.2f} m",
-        )
+        yield "poses", poses.words()
         yield from (("poses", problem) for problem in (*poses.gaps, *poses.jumps))
     yield from _topic_rows(report.topics)
     for key, problem in report.broken.items():

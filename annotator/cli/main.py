@@ -49,6 +49,7 @@ COMMANDS: dict[str, Command] = {
     "check": Command("check:run", "find errors in a dataset, or suspicious labels in a project"),
     "up": Command("adjust:run_up", "show or set which way is up in a recording"),
     "calibrate": Command("adjust:run_calibrate", "show or correct where clouds lie relative to images"),
+    "poses": Command("adjust:run_poses", "show or estimate where the camera of a recording was"),
     "project move": Command("project:run_move", "set the new path of a moved recording"),
     "project remove": Command("project:run_remove", "remove a recording, or a whole project"),
     "project undo": Command("project:run_undo", "undo the last action, such as a run of annotate"),

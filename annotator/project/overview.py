@@ -20,6 +20,7 @@ from annotator.project.rows import Terms, values_of
 from annotator.types.bases import Strict
 from annotator.types.errors import NotFoundError
 from annotator.types.label import AttributeValue
+from annotator.types.messages import amount
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,9 +107,14 @@ _CAMERAS = (
 
 
 class ClassRow(Strict):
-    """A class as JSON; the counts as in `ClassCounts`."""
+    """A class as JSON; the counts as in `ClassCounts`.
+
+    Attributes:
+        boxes: the counts in words.
+    """
 
     name: str
+    boxes: str
     labels: int
     boxes_2d: int
     said: int
@@ -122,11 +128,13 @@ class ClassList(Strict):
 
     Attributes:
         values: how many boxes and frames have a value, by attribute.
+        words: what each attribute is, for people.
     """
 
     classes: tuple[ClassRow, ...]
     attributes: tuple[Attribute, ...]
     values: dict[str, int]
+    words: dict[str, str]
 
 
 def list_classes(project: Project) -> ClassList:
@@ -136,9 +144,12 @@ def list_classes(project: Project) -> ClassList:
         classes=tuple(_row(name, counts, config.class_styles) for name in config.classes),
         attributes=config.attributes,
         values={name: sum(by_value.values()) for name, by_value in values.items()},
+        words={attribute.name: attribute.words() for attribute in config.attributes},
     )
 
 
 def _row(name: str, counts: Mapping[str, ClassCounts], styles: Mapping[str, ClassStyle]) -> ClassRow:
     count, style = counts.get(name, ClassCounts()), styles.get(name, ClassStyle())
-    return ClassRow(name=name, **vars(count), colour=style.colour, key=style.key, still=style.still)
+    known = ((count.labels, "3D label"), (count.boxes_2d, "2D box"), (count.said, "further 3D box"))
+    boxes = " and ".join(amount(number, noun) for number, noun in known if number) or "no boxes"
+    return ClassRow(name=name, boxes=boxes, **vars(count), colour=style.colour, key=style.key, still=style.still)

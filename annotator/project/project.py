@@ -33,6 +33,7 @@ from annotator.project.config import (
     write_config,
 )
 from annotator.project.database.store import DATABASE_FILE, Clock, Store, create_store, open_store, wal_of
+from annotator.project.estimates import Estimates
 from annotator.project.frames import Frames
 from annotator.project.jobs import Jobs
 from annotator.project.labels import Labels
@@ -71,6 +72,7 @@ class Project:
         self.views = Views(path / VIEWS_FOLDER)
         self.recordings = Recordings(store, None if readable is None else tuple(readable))
         self.adjustments = Adjustments(writer)
+        self.estimates = Estimates(writer)
         self.frames = Frames(writer)
         self.labels = Labels(writer)
         self.stills = Stills(writer)

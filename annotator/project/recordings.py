@@ -17,11 +17,12 @@ from sqlalchemy import ColumnElement, Connection, ScalarSelect, bindparam, func,
 
 from annotator.project.adjusting import adjustment_in, unit_up
 from annotator.project.audit.events import hide_removed
-from annotator.project.database.schema import ALL_LABELS, AnyRow, adjustments, frames, recordings
+from annotator.project.database.schema import ALL_LABELS, AnyRow, adjustments, estimates, frames, recordings, stills
 from annotator.project.database.store import Store
+from annotator.project.records import FRAME_POSES, parsed
 from annotator.text import is_within
 from annotator.types import NO_CORRECTION, Correction, ReviewState
-from annotator.types.errors import NotFoundError, ProjectError, RecordingError
+from annotator.types.errors import HistoryError, NotFoundError, ProjectError, RecordingError
 from annotator.types.messages import alternatives, amount, first_few
 
 # --- removed recordings -----------------------------------------------------------------------------------------------
@@ -470,22 +471,44 @@ def _update_frames(
     if new:
         connection.execute(insert(frames), new)
     if poses is not None:
-        _place_in_world(connection, recording_id, poses)
+        _set_recorded(connection, recording_id, poses)
     return tuple(str(row["key"]) for row in new)
 
 
-def _place_in_world(connection: Connection, recording_id: int, poses: Poses) -> None:
-    """Sets where the clouds are in the world. Where that has changed, still objects are looked for again."""
-    query = select(frames.c.id, frames.c.key, frames.c.pose, frames.c.world).where(
-        frames.c.recording_id == recording_id
-    )
+def _set_recorded(connection: Connection, recording_id: int, poses: Poses) -> None:
+    """Sets where the clouds are in the world, as the recording says it."""
+    query = select(frames.c.id, frames.c.key, frames.c.pose, frames.c.recorded_world)
     changed = list[dict[str, Any]]()
-    for row in connection.execute(query).all():
-        if (T := poses.get(row.key)) is not None and row.pose is not None:
-            T = T * RigidTransform.from_matrix(json.loads(row.pose)).inv()
-        world = None if T is None else json.dumps(T.as_matrix().tolist())
-        if world != row.world:
+    for row in connection.execute(query.where(frames.c.recording_id == recording_id)).all():
+        if (world := _world(poses.get(row.key), row.pose)) != row.recorded_world:
             changed.append({"of_frame": row.id, "new_world": world})
+    if changed:
+        of_frame = frames.c.id == bindparam("of_frame")
+        connection.execute(update(frames).where(of_frame).values(recorded_world=bindparam("new_world")), changed)
+    place_in_world(connection, recording_id)
+
+
+def _world(T_world_camera: RigidTransform | None, T_cloud_camera: str | None) -> str | None:
+    if T_world_camera is not None and T_cloud_camera is not None:
+        T_world_camera = T_world_camera * RigidTransform.from_matrix(json.loads(T_cloud_camera)).inv()
+    return None if T_world_camera is None else json.dumps(T_world_camera.as_matrix().tolist())
+
+
+def place_in_world(connection: Connection, recording_id: int) -> None:
+    """Sets where the clouds of a rig are in the world: as was estimated, else as its recordings say it.
+
+    Where that changes, still objects are looked for again.
+    """
+    of_frames = select(frames.c.id, frames.c.key, frames.c.recording_id, frames.c.moment_id, frames.c.pose)
+    of_frames = of_frames.add_columns(frames.c.world, frames.c.recorded_world)
+    rows = connection.execute(of_frames.where(of_rig(recording_id))).all()
+    worlds: dict[int, str | None] = {row.id: row.recorded_world for row in rows}
+    if found := estimated_poses(connection, recording_id):
+        worlds = dict.fromkeys(worlds)
+        for row in rows:
+            if row.recording_id == found[0] and (T := found[1].get(row.key)) is not None:
+                worlds[row.moment_id] = _world(T, row.pose)
+    changed = [{"of_frame": row.id, "new_world": worlds[row.id]} for row in rows if worlds[row.id] != row.world]
     if changed:
         of_frame = frames.c.id == bindparam("of_frame")
         connection.execute(update(frames).where(of_frame).values(world=bindparam("new_world")), changed)
@@ -494,6 +517,33 @@ def _place_in_world(connection: Connection, recording_id: int, poses: Poses) -> 
             "place = iif(place IS NULL AND :new_world IS NOT NULL, NULL, ''), seen = seen AND :new_world IS NOT NULL"
         )
         connection.execute(text(f"UPDATE sightings SET {again} WHERE moment_id = :of_frame"), changed)
+
+
+def of_same_rig(recording_id: int) -> ColumnElement[bool]:
+    """Of estimates: their recording has the same rig as this one."""
+    rig = select(_OF_RIG.c.rig_id).where(_OF_RIG.c.id == recording_id).scalar_subquery()
+    return estimates.c.recording_id.in_(select(recordings.c.id).where(recordings.c.rig_id == rig))
+
+
+def estimated_poses(connection: Connection, recording_id: int) -> tuple[int, dict[str, RigidTransform]] | None:
+    """The recording of a rig whose poses were estimated, and its `T_world_camera` by key, without corrections."""
+    row = connection.execute(select(estimates).where(of_same_rig(recording_id))).first()
+    if row is None:
+        return None
+    found = parsed(FRAME_POSES.validate_json, row.poses)
+    return row.recording_id, {each.key: each.transform() for each in found if each.pose is not None}
+
+
+def require_nothing_still(connection: Connection, recording_id: int) -> None:
+    """Refuses to change the world in which objects of a rig stand still."""
+    rig = select(recordings.c.rig_id).where(recordings.c.id == recording_id).scalar_subquery()
+    is_there = stills.c.state != ReviewState.REJECTED.value
+    tracks = connection.execute(select(stills.c.track_id).where(stills.c.rig_id == rig, is_there)).scalars().all()
+    if tracks:
+        raise HistoryError(
+            f"{amount(len(tracks), 'track')} of it stand still in this world: {first_few(list(map(str, tracks)), 5)}; "
+            "first say that they move, `annotator tracks moving`"
+        )
 
 
 def _moments(connection: Connection, recording_id: int) -> dict[str, tuple[int, int]]:

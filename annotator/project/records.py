@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import UInt8
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import PydanticSerializationError
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.types import Box2D, OrientedBox, PseudoView, Suggestion
 from annotator.types.bases import SaidRecord, Strict
@@ -158,3 +159,35 @@ def storable(what: str) -> Iterator[None]:
         raise ProjectError(f"{what} cannot be stored: {where}: {detail['msg']}") from error
     except PydanticSerializationError as error:
         raise ProjectError(f"{what} cannot be stored: {error}") from error
+
+
+class FramePose(Strict):
+    """Where a frame's camera was, estimated.
+
+    Attributes:
+        pose: `T_world_camera` of the recorded camera: place, metres, and quaternion w x y z; None = it was not found.
+        overlap, rmse, grip: its certainty, as in `annotator.geometry.odometry.Placed`.
+    """
+
+    key: str
+    pose: tuple[Finite, Finite, Finite, Finite, Finite, Finite, Finite] | None
+    overlap: Finite
+    rmse: Finite
+    grip: Finite
+
+    @staticmethod
+    def of(key: str, T: RigidTransform | None, overlap: float, rmse: float, grip: float) -> FramePose:
+        """Rounds to a hundredth of a millimetre and to a millionth of a degree: there may be 100,000 frames."""
+        pose = None
+        if T is not None:
+            pose = (*T.translation.round(5).tolist(), *T.rotation.as_quat(scalar_first=True).round(8).tolist())
+        return FramePose(key=key, pose=pose, overlap=round(overlap, 3), rmse=round(rmse, 5), grip=round(grip, 3))
+
+    def transform(self) -> RigidTransform | None:
+        if self.pose is None:
+            return None
+        turn = Rotation.from_quat(self.pose[3:], scalar_first=True)
+        return RigidTransform.from_components(self.pose[:3], turn)
+
+
+FRAME_POSES: TypeAdapter[tuple[FramePose, ...]] = TypeAdapter(tuple[FramePose, ...])

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -297,38 +297,45 @@ class PosesReport(Strict):
     gaps: tuple[str, ...]
     jumps: tuple[str, ...]
 
+    def words(self) -> str:
+        """Such as "200 of 200 frames, by poses.csv; a way of 7.52 m"."""
+        return f"{self.posed} of {amount(self.frames, 'frame')}, by {self.source}; a way of {self.way_m:.2f} m"
 
-def survey_poses(recording: Recording) -> PosesReport | None:
-    """Returns what the poses of all frames say; None without poses."""
-    if recording.pose_source is None:
+
+def survey_poses(
+    recording: Recording, source: str | None = None, pose: Callable[[int], RigidTransform | None] | None = None
+) -> PosesReport | None:
+    """Returns what the poses of all frames say: the recording's own, or others by frame; None without poses."""
+    source, pose = source or recording.pose_source, pose or recording.pose
+    if source is None:
         return None
     poses, broken = dict[int, RigidTransform](), dict[str, int]()
     for i in range(len(recording)):
         try:
-            if (pose := recording.pose(i)) is not None:
-                poses[i] = pose
+            if (known := pose(i)) is not None:
+                poses[i] = known
         except RecordingError as error:
             broken.setdefault(str(error), i)
     posed = list(poses)
     steps = [poses[i].inv() * poses[j] for i, j in pairwise(posed)]
     lengths_m = np.array([np.linalg.norm(step.translation) for step in steps])
     return PosesReport(
-        source=recording.pose_source,
+        source=source,
         frames=len(recording),
         posed=len(posed),
         way_m=float(lengths_m.sum()),
-        gaps=(*_gaps(recording, poses), *broken),
+        gaps=(*_gaps(recording, poses, source), *broken),
         jumps=_jumps(recording, posed, lengths_m, np.degrees([step.rotation.magnitude() for step in steps])),
     )
 
 
-def _gaps(recording: Recording, poses: dict[int, RigidTransform]) -> tuple[str, ...]:
+def _gaps(recording: Recording, poses: dict[int, RigidTransform], source: str) -> tuple[str, ...]:
     missing = [key for i, key in enumerate(recording.keys) if i not in poses]
     if not missing:
         return ()
     if not poses and recording.is_sequence:
         advice = "are its times of the frames' clock, and is its sensor calibrated?"
-        return (f"{recording.pose_source} has a pose for no frame: {advice}",)
+        return (f"{source} has a pose for no frame: {advice}",)
     return (f"{amount(len(missing), 'frame')} without a pose: {first_few(missing, MOST_NAMED)}",)
 
 

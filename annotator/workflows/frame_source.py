@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,10 +30,14 @@ class OpenedRecording:
 
     Attributes:
         stored: what the project sets over its files; None for one that is not in it.
+        estimated: id of the event that set estimated poses; 0 = the files' poses hold.
+        poses: these, `T_world_camera` with the correction, by key.
     """
 
     recording: Recording
     stored: StoredRecording | None
+    estimated: int = 0
+    poses: Mapping[str, RigidTransform] = field(default_factory=dict)
 
     def read(self, key: str) -> Frame:
         """Reads a frame, with the project's correction of the calibration and its up direction."""
@@ -45,6 +50,8 @@ class OpenedRecording:
             shown = image_at(self.recording, index, correction.time_offset_s)
             frame = frame if shown == index else with_image(frame, self.recording.image(shown))
         frame = corrected(frame, correction)
+        if self.estimated:
+            frame = replace(frame, T_world_camera=self.poses.get(key), in_map=False)
         return frame if up is None else replace(frame, up=np.asarray(up, np.float64))
 
     def image(self, key: str) -> UInt8[np.ndarray, "h w 3"]:
@@ -96,9 +103,14 @@ class FrameSource:
 
     def adjusted(self, recording_id: int) -> OpenedRecording:
         """The open recording with its present adjustment, which may have changed since it was opened."""
-        opened = self._open(recording_id)
-        if opened.stored is None or self._project.adjustments.newest(recording_id) != opened.stored.adjusted:
-            opened = replace(opened, stored=self._project.recordings.get(recording_id))
+        opened, project = self._open(recording_id), self._project
+        of = project.adjustments.newest(recording_id), project.estimates.newest(recording_id)
+        if opened.stored is None or of != (opened.stored.adjusted, opened.estimated):
+            keys = {frame.id: frame.key for frame in project.frames.of([recording_id])} if of[1] else {}
+            known = project.stills.poses(recording_id) if of[1] else {}
+            poses = {keys[number]: T.inv() for number, T in known.items()}
+            stored = project.recordings.get(recording_id)
+            opened = replace(opened, stored=stored, estimated=of[1], poses=poses)
             self._opened[recording_id] = opened
         return opened
 

@@ -279,6 +279,8 @@ type View = ReturnType<typeof import("../../web_assets/js/editor2d/geometry.js")
 interface EditorOptions {
   /** Accessible name. */
   label: string;
+  /** Ends the editor. */
+  until: AbortSignal;
   color: (box: EditorBox) => string;
   /** Class of a drawn box. */
   newLabel?: () => string | null;
@@ -362,7 +364,6 @@ interface Editor {
   flush(): void;
   /** True during a drag, and while key presses are collected into one change; setBoxes must not be called then. */
   readonly isDragging: boolean;
-  destroy(): void;
 }
 
 /** What listens to pointers: an editor, or a map. px are of what `view` calls the picture. */
@@ -370,6 +371,7 @@ interface PointerHost {
   root: HTMLElement;
   size: Size & { border?: number };
   view: Pick<View, "toPicture" | "panBy" | "zoomAbout">;
+  until: AbortSignal;
   redraw(): void;
   hit(px: Point, event: PointerEvent): Hit;
   begin(hit: Hit, px: Point, point: Point): Gesture;
@@ -433,12 +435,10 @@ type Draft = {
   whole: { boxes: Api.WholeBoxJson[]; shown: number; changes: number; since: number } | null;
 };
 
-/** A dashed box on the image. */
-type Guess = { item: Item; image_box: Box2D; caption: string };
-
 /** What the files about the pseudo-views share. */
 interface Work {
   app: ModeApp;
+  until: AbortSignal;
   saver: Saver;
   whole: WholeBoxes;
   objects: ReturnType<typeof import("../../web_assets/js/annotate/objects.js").createObjects>;
@@ -495,6 +495,8 @@ type Teach = ReturnType<typeof import("../../web_assets/js/annotate/teach.js").c
 /** The parts of Annotate, which use each other once all are there; js/annotate/annotate.js makes them. */
 interface Annotate {
   app: ModeApp;
+  /** Ends the mode. */
+  until: AbortSignal;
   /** The elements of its panels. */
   parts: ReturnType<typeof import("../../web_assets/js/annotate/annotate.js").layout>;
   desk: Desk;
@@ -544,6 +546,7 @@ type Change = {
   box?: Box3D;
   track_id?: number | null;
   box_kind?: Api.BoxKind | null;
+  here?: boolean;
   image_box?: (Rect & { label: string }) | null;
   suggestion?: Api.Suggestion | null;
 };

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 from sqlalchemy import text
 
 from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext, open_project
@@ -21,7 +21,7 @@ from annotator.project.database import migrations
 from annotator.project.database.migrations import MIGRATIONS, Migration, newest_version
 from annotator.project.database.schema import AUDITED
 from annotator.project.log import new_action
-from annotator.project.records import BoxRecord
+from annotator.project.records import BoxRecord, FramePose
 from annotator.project.stills import Sighting
 from annotator.types import (
     Box2D,
@@ -205,6 +205,11 @@ def actions(
         ),
         "adjust": lambda: project.adjustments.correct(
             frame.recording_id, Correction((0.1 * a, 0.0, -0.2 * b), (0.0, 0.3 * b, 0.1 * a)), who
+        ),
+        "estimate": lambda: project.estimates.keep(
+            frame.recording_id,
+            [FramePose.of(frame.key, RigidTransform.from_translation([a, b, 0.5]), 0.9, 0.01, 0.2)] * (a > 0),
+            who,
         ),
         "values": lambda: project.labels.set_attributes(
             frame.id, uid, {"severity": a or None, "side": f"side {b}"}, change

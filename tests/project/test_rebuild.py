@@ -55,7 +55,7 @@ from annotator.types.errors import ConfigError, HistoryError, ProjectError, Stal
 
 BASED = (*(step for step in STEPS if step not in ("bring", "import", "span")), "values", "frame values")
 """Changes that are based on a revision of a frame."""
-KINDS = (*STEPS, "loose view", "link", "adjust", "values", "frame values", "classes", "pass")
+KINDS = (*STEPS, "loose view", "link", "adjust", "estimate", "values", "frame values", "classes", "pass")
 CAMERAS = {1: ["0", "1"], 2: ["0"]}
 """The keys of each recording's frames."""
 SMALL = st.integers(0, 3)

@@ -41,6 +41,7 @@ from annotator.project.classes.changing import BATCH, FOLLOWED, require_consiste
 from annotator.project.classes.changing import KIND as CLASSES_CHANGED
 from annotator.project.database.schema import events, frames, recordings
 from annotator.project.database.store import driver_of
+from annotator.project.estimates import KIND as ESTIMATED
 from annotator.project.frames import numbers_of
 from annotator.project.log import Writer, new_action, require_writable
 from annotator.project.recordings import removed_recordings
@@ -447,7 +448,7 @@ class _Part:
         """Author and time of the last change of a row after the action."""
         event = self._last[row.table, row.key]
         query = select(events.c.author, events.c.time_ns, events.c.rows).where(events.c.id > event.id)
-        if row.table not in ("adjustments", "stills") and event.frame_id is not None:
+        if row.table not in ("adjustments", "stills", "estimates") and event.frame_id is not None:
             query = query.where(in_moment_of(event.frame_id) | events.c.frame_id.is_(None))
         for found in self.connection.execute(query.order_by(events.c.id.desc())):
             if any((each.table, each.key) == (row.table, row.key) for each in rows_of(found.rows)):
@@ -468,6 +469,7 @@ _TABLE_NAMES = {
     "view_labels": "the box on the view",
     "frames": "the frame",
     "adjustments": "the recording",
+    "estimates": "the recording",
 }
 
 
@@ -499,7 +501,7 @@ def _description(connection: Connection, step: Step) -> str:
     rows = connection.execute(_NAMED, {"action": step.original}).all()
     made, keys = [event_of(row) for row in rows], [row.key for row in rows]
     first, last = made[0], made[-1]
-    if first.view_id == CLASSES or first.kind == ADJUSTED:
+    if first.view_id == CLASSES or first.kind in (ADJUSTED, ESTIMATED):
         return first.effort_target or "change"
     is_one = first.frame_id == last.frame_id
     known = numbers_of(connection, {each.frame_id for each in (first, last) if each.frame_id is not None})

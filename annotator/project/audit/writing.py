@@ -22,6 +22,7 @@ from annotator.project.audit.events import (
 from annotator.project.classes.values import is_kept
 from annotator.project.database.schema import columns_of, packed
 from annotator.project.database.store import Store, driver_of
+from annotator.project.recordings import place_in_world, require_nothing_still
 from annotator.project.records import BoxRecord
 from annotator.project.rows import Row, Terms, new_uid, still_of, with_words
 from annotator.types import OrientedBox, ReviewState, Source
@@ -312,6 +313,9 @@ class Write:
                 "frame; give one of them another track, or delete the other box",
                 track_id,
             ) from error
+        for row in (row for event in stored for row in event.rows if row.table == "estimates"):
+            require_nothing_still(self.connection, int(row.key))
+            place_in_world(self.connection, int(row.key))
         # changes in other frames that are based on the earlier still object are refused
         moved = {row.key for event in stored for row in event.rows if row.table == "stills" and row.is_update}
         see = "moment_id IN (SELECT moment_id FROM sightings WHERE still = ? AND seen = 1)"

@@ -161,8 +161,9 @@ def remove_labels(database: Path) -> None:
             of_present = "recording_id IN (SELECT id FROM recordings WHERE removed_ns IS NULL)"
             _keep(connection, "frames", "moment_id", f"position IS NOT NULL AND {of_present}")
             _keep(connection, "recordings", "rig_id", "removed_ns IS NULL")
-            for row in _rows(source, "adjustments", Counter()):
-                _restore(connection, new, "adjustments", row)
+            for table in ("adjustments", "estimates"):
+                for row in _rows(source, table, Counter()):
+                    _restore(connection, new, table, row)
     empty.replace(database)
 
 
@@ -274,9 +275,9 @@ def _restore(connection: Connection, store: Store, table: str, row: Row) -> bool
     """Puts one row of the damaged database in the place of the present one; False if they are equal."""
     after = {name: row[name] for name in columns_of(table)}
     key = after[AUDITED[table]]
-    frame_id = {"frames": row.get("id"), "classes": None, "adjustments": None}.get(table, row.get("frame_id"))
-    if table in ("adjustments", "stills"):
-        of = key if table == "adjustments" else after["rig_id"]
+    frame_id = {"frames": row.get("id"), "classes": None}.get(table, row.get("frame_id"))
+    if table in ("adjustments", "stills", "estimates"):
+        of = after["rig_id"] if table == "stills" else key
         query = select(func.min(frames.c.id)).where(frames.c.recording_id == of)
         if (frame_id := connection.execute(query).scalar_one()) is None:
             return False

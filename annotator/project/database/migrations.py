@@ -357,7 +357,8 @@ _INDEXES = (
 
 # --- version 2: objects that stand still ------------------------------------------------------------------------------
 # frames.world: T_world_cloud, as `pose`: from the frame of the cloud to the world of the rig; NULL = not known. Read
-# from the frame that names the moment. classes.still: objects of the class stand still; NULL = nobody has said so.
+# from the frame that names the moment. recorded_world: the same, as the recording says it; poses may be estimated.
+# classes.still: objects of the class stand still; NULL = nobody has said so.
 
 # A track of a rig (its first recording) that stands still: one box, in the frame of the world.
 _STILLS = """
@@ -395,6 +396,14 @@ CREATE TABLE sightings (
     points INTEGER,
     hidden_share REAL,
     place TEXT
+)
+"""
+# Where the camera of a recording was, by its frames: estimated poses, as JSON (`estimates.py`). A rig has one such row.
+_ESTIMATES = """
+CREATE TABLE estimates (
+    recording_id INTEGER PRIMARY KEY REFERENCES recordings (id),
+    poses TEXT NOT NULL,
+    event_id INTEGER NOT NULL REFERENCES events (id)
 )
 """
 _SIGHTING_KEYS = (("moment", "_id"), ("frame", "_id"), ("still", ""))
@@ -442,9 +451,11 @@ MIGRATIONS: tuple[Migration, ...] = (
     ),
     (
         "ALTER TABLE frames ADD COLUMN world TEXT",
+        "ALTER TABLE frames ADD COLUMN recorded_world TEXT",
         "ALTER TABLE classes ADD COLUMN still BOOLEAN CHECK (still IN (0, 1))",
         _STILLS,
         _SIGHTINGS,
+        _ESTIMATES,
         "CREATE UNIQUE INDEX one_still_a_track ON stills (rig_id, track_id) WHERE state <> 'rejected'",
         *(f"CREATE INDEX sightings_of_{of} ON sightings ({of}{id})" for of, id in _SIGHTING_KEYS),
         "DROP VIEW shown_labels",

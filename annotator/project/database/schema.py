@@ -1,6 +1,6 @@
 """The tables of a project, read from what the migrations make; they are the truth.
 
-What people change lies in eight tables. One door (`audit/`) writes a changed row, and with it a row of `events`, the
+What people change lies in nine tables. One door (`audit/`) writes a changed row, and with it a row of `events`, the
 audit: who, when, in which action, from which source, at which revision of the frame; and each changed row as
 `[table, key, before, after]`. Of an updated row, `before` and `after` have the columns that differ; of another one, all
 that have a value, and null is no row.
@@ -19,6 +19,7 @@ that have a value, and null is no row.
 - `classes` (`id`), `attributes` (`name`): names, order, looks and definitions. To rename a class or to merge two is a
   change here, and touches no label.
 - `adjustments` (`recording_id`): up direction and calibration of a recording.
+- `estimates` (`recording_id`): estimated poses of its frames; `frames.world` follows from them.
 
 So undo is generic: where the present columns equal `after`, put `before`. And the audit, replayed from its beginning,
 gives these tables. Labels and boxes of a removed recording have `hidden` set. Queries read the views `shown_...`, which
@@ -120,7 +121,7 @@ own_labels = _FOUND["shown_rows"]
 still_labels = Table("shown_stills", MetaData(), *(Column(each.name, each.type) for each in labels.c))
 # What `labels` joins. Queries that count or group read one after the other: SQLite would write the union out first.
 BOTH_LABELS = (own_labels, still_labels)
-stills, sightings = _FOUND["stills"], _FOUND["sightings"]
+stills, sightings, estimates = _FOUND["stills"], _FOUND["sightings"], _FOUND["estimates"]
 image_labels = _FOUND["shown_image_labels"]
 view_labels = _FOUND["shown_view_labels"]
 ALL_LABELS = _FOUND["labels"]
@@ -133,6 +134,7 @@ AUDITED = {
     "image_labels": "frame_id",
     "view_labels": "key",
     "adjustments": "recording_id",
+    "estimates": "recording_id",
     "frames": "id",
 }
 """The audited tables with their keys, in the order of their references."""
@@ -142,9 +144,10 @@ NOT_AUDITED = {
     "image_labels": ("event_id", "hidden"),
     "view_labels": ("revision", "event_id", "hidden"),
     "adjustments": ("event_id",),
+    "estimates": ("event_id",),
     "labels": ("hidden",),
     "stills": ("event_id",),
-    "frames": ("recording_id", "moment_id", "key", "cloud", "pose", "position", "revision", "world"),
+    "frames": ("recording_id", "moment_id", "key", "cloud", "pose", "position", "revision", "world", "recorded_world"),
 }
 
 

@@ -26,6 +26,7 @@ from annotator.workflows.tracks.propose_boxes import boxes_of
 from annotator.workflows.tracks.refit_run import RefitRun, box_fitter
 from annotator.workflows.workbench.contact_sheet import SeenBox, accept_boxes
 from annotator.workflows.workbench.frame_cache import OpenFrame
+from annotator.workflows.workbench.frame_state import Sight, sights
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector, has_view_with_classes
 
 router = APIRouter(tags=["tracks"])
@@ -85,10 +86,11 @@ class OperationIn(WithEffort):
 
 
 class OperationOut(Schema):
-    """What the operation does, also in words."""
+    """What the operation does, also in words; and the operation to be sent with it, with the size that was fitted."""
 
     count: Count
     words: str
+    operation: AnyOperation
 
 
 @router.get("/api/projects/{name}/recordings/{recording_id}/tracks", response_model=LanesJson)
@@ -187,7 +189,7 @@ def operate(at: AtProject, recording_id: RowId, track_id: TrackId, body: Operati
         fit = box_fitter(at.project, lambda frame: OpenFrame(caches.frames.look(at.project, frame)), view)
         run = RefitRun(at.project, done, at.operator, fit)
         at.ctx.follow_runs.start(at.project, at.operator, run, done.changes[0][0], "between", view is not None)
-    return OperationOut(count=done.count, words=done.count.words())
+    return OperationOut(count=done.count, words=done.count.words(), operation=done.operation)
 
 
 def _own_view(at: InFrame) -> ReadyDetector | None:
@@ -241,9 +243,11 @@ def track_sheet(at: AtProject, recording_id: RowId, track_id: TrackId) -> Stream
 
 @router.get("/api/projects/{name}/frames/{frame_id}/sheet", response_class=StreamingResponse, responses=STREAM)
 def frame_sheet(at: AtFrame) -> StreamingResponse:
-    """The pictures of a frame's boxes, as those of a track."""
+    """The pictures of a frame's boxes, as those of a track; without those that another camera sees better."""
     page = read_page(at.project, at.frame_id)
-    return _tiles(at, [(page.frame, stored.label) for stored in page.labels])
+    seen = sights(at.project, at.ctx.caches.frames, page)
+    labels = (stored.label for stored in page.labels)
+    return _tiles(at, [(page.frame, one) for one in labels if seen.get(one.uid, Sight()).better is None])
 
 
 def _tiles(at: InProject, boxes: Sequence[tuple[StoredFrame, Label]]) -> StreamingResponse:

@@ -9,8 +9,8 @@ const KINDS = [
   ["attribute", "Attribute", "a value is missing, does not fit, has no attribute, or differs along its track"],
   ["empty", "Hardly any points inside", "the box may be in the wrong place"],
   ["size", "Unusual size", "far from the median of the class"],
-  ["heading", "Heading jumps", "very different from the neighbouring frame"],
-  ["track", "Tracks", "one track has two boxes in a frame, or two classes"],
+  ["heading", "Heading jumps", "very different from the neighbouring frame, or against the way"],
+  ["track", "Tracks", "one track has two boxes in a frame, two classes, or jumps"],
   ["duplicate", "Overlapping boxes", "two boxes may be the same object"],
 ];
 /** Maximum number of warnings that a group lists; all are counted. */
@@ -56,15 +56,10 @@ export function mount(root, app, until) {
   }
 
   function nothingWrong(/** @type {number} */ labels) {
-    const href = (/** @type {string} */ mode) => makeHash(app.state.route.project, mode);
-    const said = labels
-      ? nothing(
-          "Nothing looks wrong",
-          "Sizes, points, headings and overlaps were checked.",
-          href("export"),
-          "Export the boxes",
-        )
-      : nothing("No boxes yet", "Draw some, or let the detectors propose them.", href("annotate"), "Annotate");
+    const [title, text, mode, action] = labels
+      ? ["Nothing looks wrong", "Sizes, points, headings and overlaps were checked.", "export", "Export the boxes"]
+      : ["No boxes yet", "Draw some, or let the detectors propose them.", "annotate", "Annotate"];
+    const said = nothing(title, text, makeHash(app.state.route.project, mode), action);
     said.classList.add("panel");
     said.dataset.testid = "no-warnings";
     return said;
