@@ -152,16 +152,20 @@ def set_size(
     project: Project,
     recording: RecordingName,
     track: TrackNumber,
-    size: Annotated[tuple[float, float, float], arg(metavar="L W H", help="length, width and height, metres.")],
+    size: Annotated[
+        tuple[()] | tuple[float, float, float],
+        arg(metavar="L W H", help="length, width and height, metres; default: what fits all its boxes and points."),
+    ] = (),
     /,
     *,
     span: InSpan = WHOLE,
 ) -> None:
     """Give all boxes of a track one size, as a rigid object has it.
 
-    Each box keeps its rotation, its bottom, and the sides that face the camera, on which its points lie.
+    Without a size, it is fitted to the reviewed boxes together, or to all if none is reviewed, and to the points of
+    their frames. Each box keeps its rotation, its bottom, and the sides that face the camera, on which its points lie.
     """
-    _operate(project, recording, track, operations.SetSize, span, size_m=size)
+    _operate(project, recording, track, operations.SetSize, span, size_m=size or None)
 
 
 def set_values(
