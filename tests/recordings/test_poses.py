@@ -429,7 +429,7 @@ def test_the_cameras_of_a_moment_agree_where_it_was(tmp_path: Path, build: Calla
 def test_a_vehicle_of_nuscenes_may_stand_at_the_origin_of_its_map(tmp_path: Path):
     (tables,) = small(tmp_path, 1, 2, 2).glob("v1.0-*")
     poses = json.loads((tables / "ego_pose.json").read_text())
-    start = np.array(poses[0]["translation"])
+    start = np.array(open_recording(tmp_path).moments[0][0].ego.translation)  # type: ignore[attr-defined]
     put(tables / "ego_pose.json", json.dumps([p | {"translation": (p["translation"] - start).tolist()} for p in poses]))
     recording = open_recording(tmp_path)
     report = survey_poses(recording)
