@@ -73,11 +73,13 @@ class Corrections:
         while iou_3d(box, thing.box) < quality and actions < MOST_ACTIONS:
             drags = plan(box, thing.box, quality, self._moves)
             by_hand_s = sum(move.seconds + M for move in drags)
-            offers = {"drag": by_hand_s}
+            offers = {"drag": by_hand_s} if drags else {}
             for kind, seconds in (("refit", KEY_S), ("redraw", DRAG_S + 2 * KEY_S)):
                 if kind not in tried:
                     chance = (self._helped[kind] + 1) / (self._tries[kind] + 2)
                     offers[kind] = seconds + self._desk.waits[kind] + M + (1 - chance) * by_hand_s
+            if not offers:  # it is somewhere else
+                break
             choice = min(offers, key=lambda kind: offers[kind])
             actions += 1
             if choice == "drag":
@@ -119,7 +121,8 @@ class Corrections:
         bill.act("draw on image", DRAG_S)
         config = frame_config(self._desk.project, opened.frame, ready)
         found = self._desk.wait("redraw", bill, lambda: find_box(opened, image_box, config, ready)).box
-        return self._on_views(opened, image_box, thing, bill) if found is None else found
+        is_there = found is not None and iou_3d(found, thing.box) > 0
+        return found if is_there else self._on_views(opened, image_box, thing, bill)
 
     def _on_views(self, opened: OpenFrame, image_box: Box2D, thing: Thing, bill: Bill) -> OrientedBox | None:
         """Finishes an object in Label, on two and two views."""

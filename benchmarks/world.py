@@ -4,12 +4,13 @@
     python -m benchmarks.world DIR [--json]
 
 Without DIR, tours of a room are generated, with exact poses (`tour`) and with poses that drift by 1 % of the way
-(`drift`): twelve objects stand in it, and three people walk. A simulated operator (`review_operator`) goes through the
-frames, and does what the page and the commands offer. First, `annotate` goes through `--annotated` frames, with image
-boxes that err by 3 % of their sides, and the base detector; what it proposes to stand still waits once in the queue,
-and is accepted, corrected or rejected for all frames that see it. An object without a box is drawn, and corrected. If
-it stands still, it gets a number, and is said to. A correction in any frame corrects it in all. What moves is followed.
-`without_poses` is the same work on the same recording, whose poses are left out.
+(`drift`): twelve objects stand in it, and three people walk; and half as many scans from a car that passes 20 parked
+and 6 moving ones, and walkers (`drive`), seen by a virtual camera that looks ahead. A simulated operator
+(`review_operator`) does what the page and the commands offer. First, `annotate` goes through `--annotated` frames, with
+image boxes that err by 3 % of their sides, and the base detector; what it proposes to stand still waits once in the
+queue, and is accepted, corrected or rejected for all frames that see it. An object without a box is drawn, and
+corrected. If it stands still, it gets a number, and is said to. A correction in any frame corrects it in all. What
+moves is followed. `without_poses` is the work on the tour without its poses.
 
 With DIR, a recording with its own boxes and poses (all its cameras, if it is a rig): each track is labelled in its
 first moment alone, with the true box, and said to stand still where its true boxes lie within `STILL_M` in the world.
@@ -66,8 +67,25 @@ IMAGE_ERROR, LEAST_POINTS = 0.03, 60
 AROUND = 6
 # A box is wrong that overlaps no object by this 3D IoU.
 WRONG_IOU = 0.25
-# Drift of the poses, and the size of the images of generated recordings.
-PARTS = {"tour": 0.0, "drift": 0.01, "without_poses": 0.0}
+
+
+class Part(NamedTuple):
+    """A generated recording: its preset, the drift of its poses, whether its classes stand still, and the tracks that
+    do, from 1."""
+
+    preset: str
+    drift: float
+    classes: dict[str, bool | None]
+    still: int
+
+
+ROOM: dict[str, bool | None] = {"object": True, "person": False}
+PARTS = {
+    "tour": Part("tour", 0.0, ROOM, 12),
+    "drift": Part("tour", 0.01, ROOM, 12),
+    "drive": Part("drive", 0.0, {"car": None, "person": False}, 20),
+    "without_poses": Part("tour", 0.0, ROOM, 12),
+}
 WIDTH_PX, HEIGHT_PX = 320, 240
 
 
@@ -265,16 +283,18 @@ def edited(uid: str, box: OrientedBox) -> LabelChanged:
 
 def _generated(args: Arguments, part: str, folder: Path) -> dict[str, Any]:
     path = folder / part
-    write_generated(path, "tour", args.frames, args.seed, WIDTH_PX, HEIGHT_PX, drift=PARTS[part])
+    made = PARTS[part]
+    frames = args.frames // 2 if made.preset == "drive" else args.frames
+    write_generated(path, made.preset, frames, args.seed, WIDTH_PX, HEIGHT_PX, drift=made.drift)
     recording = open_recording(path)
-    true_poses = read_poses(path / "truth", recording.keys, None)
-    assert true_poses is not None
-    poses = [T for index in range(len(recording)) if (T := true_poses.at(index, None)) is not None]
-    still = {("object", track) for track in range(1, 13)}
+    true_poses = read_poses(path / "truth", recording.keys, None) if made.drift else None
+    found = [true_poses.at(i, None) if true_poses else recording.pose(i) for i in range(len(recording))]
+    poses = [T for T in found if T is not None]
+    still = {(next(iter(made.classes)), track) for track in range(1, made.still + 1)}
     if part == "without_poses":
         (path / FILE_NAME).unlink()
-    with create_project(folder, f"{part}_project", ("object", "person")) as project:
-        for name, is_still in (("object", True), ("person", False)):
+    with create_project(folder, f"{part}_project", tuple(made.classes)) as project:
+        for name, is_still in made.classes.items():
             project.change_classes(StyleClass(name=name, style={"still": is_still}), AUTHOR)
         add_recordings(project, [path])
         if args.annotated:

@@ -16,7 +16,6 @@ from annotator.project.classes.attributes import (
     Attribute,
     AttributeKind,
     AttributeOf,
-    value_text,
 )
 from annotator.project.classes.counts import ClassCounts
 from annotator.project.classes.edit import ClassEdit
@@ -265,15 +264,10 @@ def _looks(colour: str | None, key: str | None) -> dict[UnsettableStyle, str | N
 
 
 def _described(row: ClassRow) -> str:
-    said = f"{amount(row.said, 'further 3D box')} of sources" if row.said else ""
-    more = [said, f"colour {row.colour}" if row.colour else "", f"key {row.key}" if row.key else ""]
+    more = [f"colour {row.colour}" if row.colour else "", f"key {row.key}" if row.key else ""]
     more += ["stands still"] if row.still else []
-    return ", ".join(filter(None, [amount(row.labels, "label"), amount(row.boxes_2d, "2D box"), *more]))
+    return ", ".join(filter(None, [row.boxes, *more]))
 
 
 def _attribute_line(attribute: Attribute) -> str:
-    has = f"of {', '.join(attribute.classes)}" if attribute.classes else ""
-    of = "" if attribute.of is AttributeOf.BOX else f"of each {attribute.of}"
-    default = "" if attribute.default is None else f"default {value_text(attribute.default)}"
-    more = [of, has, "required" if attribute.required else "", default, f"key {attribute.key}" if attribute.key else ""]
-    return f"attribute {attribute.name}: " + "; ".join(filter(None, [attribute.values_text(), *more]))
+    return f"attribute {attribute.name}: {attribute.words()}"

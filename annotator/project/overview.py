@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from scipy.spatial.transform import RigidTransform
 from sqlalchemy import ScalarSelect, bindparam, select
 
 from annotator.project.boxes import ImageBoxes, ViewBoxes, read_image_boxes, read_view_boxes
@@ -15,10 +16,11 @@ from annotator.project.database.schema import frames, recordings
 from annotator.project.frames import StoredFrame, frame_of
 from annotator.project.labels import StoredLabel, read_stored
 from annotator.project.project import Project
-from annotator.project.rows import values_of
+from annotator.project.rows import Terms, values_of
 from annotator.types.bases import Strict
 from annotator.types.errors import NotFoundError
 from annotator.types.label import AttributeValue
+from annotator.types.messages import amount
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +31,7 @@ class FramePage:
         frame: the frame; changes are based on its revision.
         cameras: the frames of its moment, its own included: the frame's id by that of its recording.
         labels: of its moment, in the order of their creation, rejected ones included.
+        T_camera_cloud: of a moment with several cameras: from the frame of its cloud; None = they are the same.
     """
 
     frame: StoredFrame
@@ -40,6 +43,7 @@ class FramePage:
     image_boxes: ImageBoxes | None
     view_boxes: tuple[ViewBoxes, ...]
     attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
+    T_camera_cloud: RigidTransform | None = None
 
     @property
     def drawn(self) -> tuple[StoredLabel, ...]:
@@ -58,8 +62,9 @@ def read_page(project: Project, frame_id: int) -> FramePage:
         cameras = {row[0]: row[1] for row in connection.execute(_CAMERAS, {"moment": frame.moment_id})}
         stored = read_stored(connection, frame_id)
         boxes, views = read_image_boxes(connection, frame_id), read_view_boxes(connection, frame_id)
+        T_camera_cloud = Terms(connection).T_camera_cloud(frame_id) if len(cameras) > 1 else None
     values = values_of(row.attributes)
-    return FramePage(frame, previous, following, name, cameras, stored, boxes, views, values)
+    return FramePage(frame, previous, following, name, cameras, stored, boxes, views, values, T_camera_cloud)
 
 
 def neighbours(project: Project, frame: StoredFrame) -> tuple[int | None, int | None]:
@@ -102,9 +107,14 @@ _CAMERAS = (
 
 
 class ClassRow(Strict):
-    """A class as JSON; the counts as in `ClassCounts`."""
+    """A class as JSON; the counts as in `ClassCounts`.
+
+    Attributes:
+        boxes: the counts in words.
+    """
 
     name: str
+    boxes: str
     labels: int
     boxes_2d: int
     said: int
@@ -118,11 +128,13 @@ class ClassList(Strict):
 
     Attributes:
         values: how many boxes and frames have a value, by attribute.
+        words: what each attribute is, for people.
     """
 
     classes: tuple[ClassRow, ...]
     attributes: tuple[Attribute, ...]
     values: dict[str, int]
+    words: dict[str, str]
 
 
 def list_classes(project: Project) -> ClassList:
@@ -132,9 +144,12 @@ def list_classes(project: Project) -> ClassList:
         classes=tuple(_row(name, counts, config.class_styles) for name in config.classes),
         attributes=config.attributes,
         values={name: sum(by_value.values()) for name, by_value in values.items()},
+        words={attribute.name: attribute.words() for attribute in config.attributes},
     )
 
 
 def _row(name: str, counts: Mapping[str, ClassCounts], styles: Mapping[str, ClassStyle]) -> ClassRow:
     count, style = counts.get(name, ClassCounts()), styles.get(name, ClassStyle())
-    return ClassRow(name=name, **vars(count), colour=style.colour, key=style.key, still=style.still)
+    known = ((count.labels, "3D label"), (count.boxes_2d, "2D box"), (count.said, "further 3D box"))
+    boxes = " and ".join(amount(number, noun) for number, noun in known if number) or "no boxes"
+    return ClassRow(name=name, boxes=boxes, **vars(count), colour=style.colour, key=style.key, still=style.still)

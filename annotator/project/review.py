@@ -172,12 +172,15 @@ def _item(row: AnyRow, terms: Terms) -> QueueItem:
 
 def waiting_sources(store: Store) -> dict[str, int]:
     """The number of objects that each source sees among the open proposals of `waiting`, by its name."""
-    shown = select(func.coalesce(labels.c.of_source, OWN), func.count()).select_from(labels)
     hidden = select(func.coalesce(_BEHIND.c.of_source, OWN), func.count()).select_from(labels)
+    queries = [(hidden.join(_BEHIND, _BEHIND.c.behind == labels.c.uid), labels)]
+    queries += [
+        (select(func.coalesce(of.c.of_source, OWN), func.count()).select_from(of), of) for of in (labels, still_labels)
+    ]
     counts = Counter[str]()
     with store.read() as connection:
-        for query in (shown, hidden.join(_BEHIND, _BEHIND.c.behind == labels.c.uid)):
-            found = query.join(frames, frames.c.id == labels.c.frame_id).where(_is_open(None, None))
+        for query, of in queries:
+            found = query.join(frames, frames.c.id == of.c.frame_id).where(_is_open(None, None, of))
             counts.update(dict(connection.execute(found.group_by(query.selected_columns[0])).all()))
     return {name: counts[name] for name in sorted(counts, key=lambda name: (name != OWN, name))}
 

@@ -26,6 +26,7 @@ LOG = logging.getLogger("annotator.web")
 MOST_ENTRIES = 1000
 # Names and suffixes that a note lists.
 MOST_NAMED = 4
+NO_ROOTS = "this server offers no folder; whoever runs it can offer some"
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,8 @@ class Folders:
         """
         path = self._below_root(typed)
         if not path:
-            return FolderListing("", None, tuple(_entry(name, name, root) for name, root in self._roots.items()))
+            roots = tuple(_entry(name, name, root) for name, root in self._roots.items())
+            return FolderListing("", None, roots, () if roots else (NO_ROOTS,))
         place = self.find(path)
         own = _entry(path.rpartition("/")[2], path, place)
         here = None if own.recording is None else own
@@ -100,6 +102,7 @@ class Folders:
             *_on_files(place, [entry.name for entry in entries if entry not in shown] if is_bare else []),
             *(_nearest(place) if is_bare else []),
             *_on_links(unfollowed),
+            *([] if names else ["this folder is empty"]),
             *(
                 [f"only the first {MOST_ENTRIES} of {len(names)} entries are listed"]
                 if len(names) > MOST_ENTRIES

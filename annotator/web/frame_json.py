@@ -125,6 +125,7 @@ def _state(at: InFrame) -> FrameStateJson:
             previous=page.previous,
             next=page.next,
             cameras=dict(page.cameras),
+            T_camera_cloud=None if page.T_camera_cloud is None else page.T_camera_cloud.as_matrix().tolist(),
             attributes=dict(page.attributes),
         ),
         image=ImageJson(

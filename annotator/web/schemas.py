@@ -12,11 +12,12 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, model_validator
 from scipy.spatial.transform import Rotation
 
+from annotator.geometry.projection import radius_limit_squared
 from annotator.project import Effort as StoredEffort
 from annotator.project import WriteContext
 from annotator.project.classes.attributes import Value
 from annotator.project.records import ViewGeometry
-from annotator.types import Box2D, BoxKind, OrientedBox, Quality, ReviewState, Source, Suggestion
+from annotator.types import Box2D, BoxKind, Camera, OrientedBox, Quality, ReviewState, Source, Suggestion
 from annotator.types.bases import Strict, TrackId
 
 # Limits of numbers in requests: finite, and wide enough for any image and recording.
@@ -230,7 +231,8 @@ class LabelJson(LabelValues):
 class FrameJson(Schema):
     """A frame: its recording, key, index, neighbours, revision, and values of its own attributes.
 
-    `cameras`: the frames of its moment, its own included, by the ids of their recordings.
+    `cameras`: the frames of its moment, its own included, by the ids of their recordings. `T_camera_cloud`: if there
+    are several, from the frame of their cloud to that of this camera (4 x 4); null: they are the same.
     """
 
     id: int
@@ -243,17 +245,29 @@ class FrameJson(Schema):
     previous: int | None
     next: int | None
     cameras: dict[int, int]
+    T_camera_cloud: list[list[float]] | None
     attributes: dict[str, Value]
 
 
 class CameraJson(Schema):
-    """Camera intrinsics, with which the page projects a dragged box; distortion as in `cv2.projectPoints`."""
+    """Camera intrinsics, with which the page projects a dragged box; distortion as in `cv2.projectPoints`.
+
+    `most_q`: the squared distance from the axis, at depth 1, up to which the lens model counts; null: everywhere.
+    """
 
     fx: float
     fy: float
     cx: float
     cy: float
     distortion: tuple[float, ...]
+    most_q: float | None
+
+    @classmethod
+    def of(cls, source: object, /, **more: Any) -> Self:
+        """From a `Camera`; nothing is validated."""
+        assert isinstance(source, Camera)
+        limit = radius_limit_squared(source.distortion)
+        return super().of(source, most_q=limit if math.isfinite(limit) else None, **more)
 
 
 class ImageJson(Schema):

@@ -7,8 +7,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from annotator.project import BoxRotation, Project, StoredRecording
+from annotator.project.recordings import SharedCloud
 from annotator.recordings import ReaderOptions, Recording, open_recording, stored_options
 from annotator.recordings.look_around import RigCamera, Scenes
 from annotator.types import Frame
@@ -29,6 +31,7 @@ NO_OPTIONS = ReaderOptions()
 
 
 LONGEST_NAME = 100
+Places = tuple[dict[str, SharedCloud], dict[str, RigidTransform]]
 # In place of the names of scenes or cameras.
 ALL = "all"
 
@@ -105,13 +108,19 @@ def add_recordings(
             if not as_new:
                 require_not_moved(project, recording, options)
         ready.append((recording, options, frame))
+    tried = [
+        broken_frames(recording, _left_out(project, _known(project, recording, options)), SECONDS / len(ready))
+        for recording, options, _ in ready
+    ]
+    read = [(fingerprint_of(frame), _places(recording)) for recording, _, frame in ready]
     added = []
-    for recording, options, frame in ready:
-        left_out = _left_out(project, _known(project, recording, options))
-        broken = broken_frames(recording, left_out, SECONDS / len(ready))
-        left_out = frozenset(broken.errors) if leave_out_broken else left_out & broken.errors.keys()
-        one = _add(project, recording, name, up, options, fingerprint_of(frame), left_out)
-        added.append(replace(one, broken=broken))
+    # nobody sees a part of a rig
+    with project.store.together():
+        for (recording, options, _), broken, (fingerprint, places) in zip(ready, tried, read, strict=True):
+            lost = _left_out(project, _known(project, recording, options))
+            left_out = frozenset(broken.errors) if leave_out_broken else lost & broken.errors.keys()
+            one = _add(project, recording, name, up, options, places, fingerprint, left_out)
+            added.append(replace(one, broken=broken))
     return [_with_up_note(project, one, frame) for one, (*_, frame) in zip(added, ready, strict=True)]
 
 
@@ -132,7 +141,7 @@ def register_recording(
     options: ReaderOptions = NO_OPTIONS,
 ) -> StoredRecording:
     """Adds an open recording, or updates the frames of one that the project has already."""
-    return _add(project, recording, name, up, options).recording
+    return _add(project, recording, name, up, options, _places(recording)).recording
 
 
 def move_recording(project: Project, recording_id: int, path: Path) -> StoredRecording:
@@ -221,12 +230,18 @@ def _names(path: Path, what: str, wanted: tuple[str, ...], all_names: tuple[str,
     return tuple(dict.fromkeys(wanted)) or (own,)
 
 
+def _places(recording: Recording) -> Places:
+    """The clouds and the poses of its frames, by their keys."""
+    return shared_clouds(recording), recorded_poses(recording)
+
+
 def _add(
     project: Project,
     recording: Recording,
     name: str | None,
     up: Sequence[float] | None,
     options: ReaderOptions,
+    places: Places,
     fingerprint: str | None = None,
     left_out: frozenset[str] = frozenset(),
 ) -> Added:
@@ -242,11 +257,9 @@ def _add(
             options.stored(),
             fingerprint,
             left_out,
-            shared_clouds(recording),
-            recorded_poses(recording),
+            *places,
         )
         return Added(stored, True, stored.frames, 0, recording.notes, left_out=len(left_out))
-    places = shared_clouds(recording), recorded_poses(recording)
     change = project.recordings.rescan(known.id, recording.keys, fingerprint, left_out, *places)
     stored, came_back = project.recordings.get(known.id), known.removed_by is not None
     new_frames = sum(key not in left_out for key in change.added)

@@ -203,8 +203,8 @@ interface App {
   refreshProject(): Promise<void>;
   /** Reads a frame into state.frame, and reports to the other pages that it is open here. */
   loadFrame(id: number, bestFor?: string | null): Promise<FrameState>;
-  /** Saves everything. False if something cannot be saved and the operator stays with it. */
-  mayLeave(): Promise<boolean>;
+  /** Saves everything that a frame does not keep. False if something cannot be saved and the operator stays with it. */
+  mayLeave(to?: number | null): Promise<boolean>;
   /** Sets the address back to the frame that is shown. */
   stay(frame: number): void;
   undo(): Promise<void>;
@@ -227,7 +227,8 @@ interface Mounted {
   route?(route: Route): void;
   /** Resolves when all changes that are being saved are saved, or have failed. */
   flush?(): Promise<unknown>;
-  unsaved?(): Unsaved | null;
+  /** `to`: the frame that is opened next; null: none. */
+  unsaved?(to: number | null): Unsaved | null;
 }
 
 type ErrorBody = {
@@ -278,6 +279,8 @@ type View = ReturnType<typeof import("../../web_assets/js/editor2d/geometry.js")
 interface EditorOptions {
   /** Accessible name. */
   label: string;
+  /** Ends the editor. */
+  until: AbortSignal;
   color: (box: EditorBox) => string;
   /** Class of a drawn box. */
   newLabel?: () => string | null;
@@ -361,7 +364,6 @@ interface Editor {
   flush(): void;
   /** True during a drag, and while key presses are collected into one change; setBoxes must not be called then. */
   readonly isDragging: boolean;
-  destroy(): void;
 }
 
 /** What listens to pointers: an editor, or a map. px are of what `view` calls the picture. */
@@ -369,6 +371,7 @@ interface PointerHost {
   root: HTMLElement;
   size: Size & { border?: number };
   view: Pick<View, "toPicture" | "panBy" | "zoomAbout">;
+  until: AbortSignal;
   redraw(): void;
   hit(px: Point, event: PointerEvent): Hit;
   begin(hit: Hit, px: Point, point: Point): Gesture;
@@ -432,12 +435,10 @@ type Draft = {
   whole: { boxes: Api.WholeBoxJson[]; shown: number; changes: number; since: number } | null;
 };
 
-/** A dashed box on the image. */
-type Guess = { item: Item; image_box: Box2D; caption: string };
-
 /** What the files about the pseudo-views share. */
 interface Work {
   app: ModeApp;
+  until: AbortSignal;
   saver: Saver;
   whole: WholeBoxes;
   objects: ReturnType<typeof import("../../web_assets/js/annotate/objects.js").createObjects>;
@@ -494,6 +495,8 @@ type Teach = ReturnType<typeof import("../../web_assets/js/annotate/teach.js").c
 /** The parts of Annotate, which use each other once all are there; js/annotate/annotate.js makes them. */
 interface Annotate {
   app: ModeApp;
+  /** Ends the mode. */
+  until: AbortSignal;
   /** The elements of its panels. */
   parts: ReturnType<typeof import("../../web_assets/js/annotate/annotate.js").layout>;
   desk: Desk;
@@ -563,6 +566,8 @@ type NewLabel = {
   label: PageLabel;
   /** The box on the image in which it was found; null: it was placed in the top view. */
   image_box: (Rect & { label: string }) | null;
+  /** The frame on whose image that is. */
+  frame: number | null;
   /** The box that the detector found. */
   found: Box3D;
   actions: number;

@@ -114,7 +114,7 @@ def content_of(folder: Path) -> dict[str, bytes]:
 
 
 class Killer:
-    """Kills a command at moments that are spread over its run time."""
+    """Kills a command at moments that are spread over what it writes."""
 
     def __init__(self, mortal: Mortal, template: Path, folder: Path, times: int, chance: random.Random) -> None:
         self.mortal, self.template, self.folder, self.times, self.chance = mortal, template, folder, times, chance
@@ -134,17 +134,17 @@ class Killer:
     def kills(self, *words: str | Path, done: Callable[[], object] = lambda: None) -> Iterator[End]:
         """Kills the command once per iteration, on a fresh copy; `done` undoes what a whole run wrote elsewhere.
 
-        At least half the kills must hit.
+        At least half the kills must hit: not every run of a command writes as often.
         """
         # the first run reads files that later ones find in memory
         for _ in range(2):
             self.fresh()
-            seconds = self.whole(*words).seconds
+            moments = self.whole(*words).moments
             done()
         for number in range(self.times):
             self.fresh()
-            moment = seconds * (number + self.chance.random()) / self.times
-            end = self.mortal.run(*words, kill_s=moment)
+            moment = 1 + int(moments * (number + self.chance.random()) / self.times)
+            end = self.mortal.run(*words, kill_at=moment)
             assert end.code in (0, -9), end
             self.killed += end.was_killed
             yield end

@@ -1,6 +1,6 @@
 """Command lines that are killed: one process loads the package and forks a child for each, so that they begin at once.
 
-The time from fork to end is then the work of the command, and random moments fall on its writes, not on imports.
+A command kills itself just before or after one of its calls that may write: the moment hangs on no clock.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -19,15 +18,18 @@ ROOT = Path(__file__).resolve().parents[2]
 # Modules with these commands' work, also what they import inside functions.
 LOADED = ("train", "annotate", "export", "import_boxes", "stats", "add", "project")
 LIBRARIES = ("torch", "ultralytics.models.yolo.detect", "openvino", "cv2", "matplotlib.pyplot", "av")
-TICK_S = 0.0005
+# Names of the built-in calls that write to a disk, or may.
+WRITING = {"open", "write", "writelines", "flush", "fsync", "close", "truncate", "write_record", "write_end_of_file"}
+WRITING |= {"rename", "replace", "link", "mkdir", "rmdir", "remove", "unlink"}
+WRITING |= {"execute", "executemany", "executescript", "commit"}
 
 
 @dataclass(frozen=True)
 class End:
-    """How a command ended: its exit code (-9 if killed), the seconds that it took, and its output."""
+    """How a command ended: its exit code (-9 if killed), its moments in which it could be killed, and its output."""
 
     code: int
-    seconds: float
+    moments: int
     said: str
 
     @property
@@ -49,14 +51,14 @@ class Mortal:
         )
         assert self._answer() == "ready"
 
-    def run(self, *words: str | Path, kill_s: float | None = None, file_limit: int | None = None) -> End:
-        """Runs a command line without `annotator`; kills it after some seconds, or limits its files (bytes)."""
-        order = {"words": [str(word) for word in words], "kill_s": kill_s, "log": str(self._log), "limit": file_limit}
+    def run(self, *words: str | Path, kill_at: int | None = None, file_limit: int | None = None) -> End:
+        """Runs a command line without `annotator`; kills it at one of its moments, or limits its files (bytes)."""
+        order = {"words": [str(word) for word in words], "kill_at": kill_at, "log": str(self._log), "limit": file_limit}
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(order) + "\n")
         self._process.stdin.flush()
-        code, seconds = self._answer()
-        return End(code, seconds, self._log.read_text(errors="replace"))
+        code, moments = self._answer()
+        return End(code, moments, self._log.read_text(errors="replace"))
 
     def close(self) -> None:
         """Ends the process."""
@@ -77,10 +79,14 @@ def main() -> None:
     _say("ready")
     for line in sys.stdin:
         order = json.loads(line)
+        told, tell = os.pipe()
         pid = os.fork()
         if pid == 0:
-            _be_command(order)
-        _say(_watch(pid, order["kill_s"]))
+            _be_command(order, tell)
+        os.close(tell)
+        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        _say((code, int(os.read(told, 20) or 0)))
+        os.close(told)
 
 
 def _load(recording: Path) -> None:
@@ -103,10 +109,18 @@ def _load(recording: Path) -> None:
     commands["annotate"].trained_detectors = lambda *_: source  # type: ignore[attr-defined]
 
 
-def _be_command(order: dict[str, Any]) -> None:
+def _be_command(order: dict[str, Any], tell: int) -> None:
     from annotator.cli.main import main as annotator
 
-    code = 1
+    code, moments = 1, 0
+
+    def watch(_: object, event: str, called: Any) -> None:
+        nonlocal moments
+        if event in ("c_call", "c_return") and getattr(called, "__name__", "") in WRITING:
+            moments += 1
+            if moments == order["kill_at"]:
+                os.kill(os.getpid(), 9)
+
     try:
         if order["limit"] is not None:
             import resource
@@ -119,24 +133,14 @@ def _be_command(order: dict[str, Any]) -> None:
         null = os.open(os.devnull, os.O_RDONLY)
         for target, file in ((0, null), (1, log), (2, log)):
             os.dup2(file, target)
+        sys.setprofile(watch)
         code = annotator(order["words"])
+        sys.setprofile(None)
         sys.stdout.flush()
+        os.write(tell, b"%d" % moments)
     finally:
         # without the handlers of the process that was forked
         os._exit(code)
-
-
-def _watch(pid: int, kill_s: float | None) -> tuple[int, float]:
-    began = time.monotonic()
-    while True:
-        done, status = os.waitpid(pid, os.WNOHANG)
-        passed = time.monotonic() - began
-        if done:
-            return os.waitstatus_to_exitcode(status), passed
-        if kill_s is not None and passed >= kill_s:
-            os.kill(pid, 9)
-            kill_s = None
-        time.sleep(TICK_S)
 
 
 def _say(answer: object) -> None:

@@ -26,6 +26,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.project import Project, ProjectSettings, WriteContext, create_project, open_project
 from annotator.recordings import Recording, open_recording
 from annotator.recordings.recording import ReaderOptions
+from annotator.synthetic import write_generated
 from annotator.types import Box2D, BoxKind, DetectorKind, OrientedBox, Proposal, Quality, Source
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors
@@ -47,6 +48,7 @@ from benchmarks import (
     paper_protocol,
     ratios,
     step,
+    world,
 )
 from benchmarks.batch import FOLDERS
 from benchmarks.report import guarded
@@ -230,6 +232,31 @@ def test_follow_scores_each_track(agnostic: Callable[..., Any], generated: Path)
     assert result["mean_iou"] == pytest.approx(np.mean([row["mean_iou"] for row in result["tracks"]]))
     assert result["mean_iou"] > 0.6
     assert result["silent_errors"] == 0
+
+
+def test_objects_that_stand_still_are_right_in_all_later_moments(
+    made_once: Callable[[str, Callable[[Path], object]], Path], tmp_path: Path
+) -> None:
+    tour = made_once("tour", lambda path: write_generated(path / "tour", "tour", 8, 0, 160, 120)) / "tour"
+    result = world.still_objects(tour, tmp_path)
+    assert result["tracks"] >= 4
+    assert result["boxes"] > 2 * result["tracks"]
+    assert (result["mean_iou"], result["missed"]) == (pytest.approx(1.0, abs=1e-3), 0.0)
+
+
+def test_what_stands_still_is_taken_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    def knowing(recording: Recording, seed: int) -> Detectors:
+        frames = [recording.frame(n) for n in range(len(recording))]
+        scenes = [Scene.of(frame, load_truth(recording, n, frame)) for n, frame in enumerate(frames)]
+        both = PerfectDetector(scenes, jitter=0.02, seed=seed, min_points=60)
+        return Detectors(both, both)
+
+    monkeypatch.setattr(world, "_detectors", knowing)
+    row = world.run(world.Arguments(frames=4, annotated=3, only="tour"))["tour"]
+    assert (row["missed"], row["wrong"]) == (0.0, 0)
+    kinds = row["by_kind"]["still"]
+    assert 4 <= kinds["accept"] <= row["boxes_still"] / 2, "not in each of the four frames"
+    assert row["mean_iou"] > 0.75
 
 
 def test_a_task_at_the_desk_counts_its_actions(

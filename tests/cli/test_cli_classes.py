@@ -57,10 +57,12 @@ def test_classes_and_attributes_are_changed_and_listed(cars: Path, run: Run) -> 
     ):
         run(f"classes {words}")
     content = json.loads(run("classes list cars --json"))
+    none = {"labels": 0, "boxes_2d": 0, "said": 0}
     assert content["classes"] == [
-        {"name": "bus", "labels": 0, "boxes_2d": 0, "said": 0, "colour": "#3366ff", "key": "b", "still": None},
-        {"name": "auto", "labels": 1, "boxes_2d": 0, "said": 0, "colour": None, "key": "a", "still": True},
+        none | {"name": "bus", "boxes": "no boxes", "colour": "#3366ff", "key": "b", "still": None},
+        none | {"name": "auto", "boxes": "1 3D label", "labels": 1, "colour": None, "key": "a", "still": True},
     ]
+    assert content["words"] == {"pose": "one of still, driving; of auto; required; default still; key p"}
     assert content["attributes"] == [
         {
             "name": "pose",
@@ -76,7 +78,7 @@ def test_classes_and_attributes_are_changed_and_listed(cars: Path, run: Run) -> 
         (label,) = project.labels.of_frame(1)
         assert (label.label, label.attributes) == ("auto", {"pose": "still"})
     shown = run("classes list cars")
-    assert "auto  1 label, 0 2D boxes, key a" in shown
+    assert "auto  1 3D label, key a" in shown
     assert "attribute pose: one of still, driving; of auto; required; default still; key p" in shown
     assert "removed pose and 1 value of it" in run("classes remove-attribute cars pose")
     assert "removed with the class: 1 label and 0 2D boxes of auto" in run("classes remove cars auto --with-boxes")

@@ -48,7 +48,7 @@ export function fakeApp({ state = {}, ...api } = {}) {
 /** A state of a frame with labels, as the server sends it. */
 export function frameState(revision, labels = [], id = 1, project = "room") {
   return {
-    frame: { id, revision, recording: 1, cameras: { 1: id }, attributes: {} },
+    frame: { id, revision, recording: 1, cameras: { 1: id }, T_camera_cloud: null, attributes: {} },
     image: { url: `/${project}/${id}`, width: 640, height: 480 },
     labels,
     objects: [],

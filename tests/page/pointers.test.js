@@ -23,6 +23,7 @@ const near = (a, b) =>
 async function editorOf(options = {}) {
   const log = [];
   const editor = createEditor(element("div"), {
+    until: new AbortController().signal,
     color: () => "#ffffff",
     newLabel: () => "person",
     onChange: (boxes, why, index, actions) => log.push({ why, index, actions, boxes }),
@@ -203,11 +204,12 @@ test("what comes after an editor has ended is not drawn", async () => {
     asked += 1;
     return "#ffffff";
   };
-  const { editor } = await editorOf({ color });
+  const end = new AbortController();
+  const { editor } = await editorOf({ color, until: end.signal });
   editor.setBoxes([{ label: "person", x_min: 10, y_min: 10, x_max: 50, y_max: 50 }]);
   await editor.setPicture("b.png", WIDTH, HEIGHT);
   assert.ok(asked > 0);
-  editor.destroy();
+  end.abort();
   asked = 0;
   await editor.setPicture("c.png", WIDTH, HEIGHT);
   assert.equal(asked, 0);

@@ -10,6 +10,7 @@ import { createDesk } from "../../web_assets/js/annotate/desk.js";
 import { createOpening } from "../../web_assets/js/annotate/opening.js";
 import { createPreload } from "../../web_assets/js/annotate/preload.js";
 import { createQueue } from "../../web_assets/js/annotate/queue.js";
+import { sameBox } from "../../web_assets/js/box3d.js";
 import { copiedText } from "../../web_assets/js/annotate/tracks.js";
 import { makeHash, parseHash } from "../../web_assets/js/router.js";
 import { readJobs, takeJob } from "../../web_assets/js/jobs.js";
@@ -87,6 +88,14 @@ test("what was read ahead is opened at once, and is behind until it is read agai
   asked.length = 0;
   await frames.open(2, null);
   assert.notEqual(asked.length, 0, "it has changed since");
+  // a frame that was left is known, too, as it was saved later
+  assert.equal(frames.take(frameState(5)), false);
+  frames.take(frameState(4));
+  assert.equal((await frames.of(1)).frame.revision, 5);
+  frames.miss();
+  asked.length = 0;
+  await frames.open(1, null);
+  assert.equal(asked[0], "frames/1", "messages about it may have been missed");
 });
 
 // -- the queue
@@ -212,6 +221,40 @@ test("a new box is stored once, even if it is accepted again before the answer",
     ["a", "stored"],
   );
   assert.equal(desk.uid, "stored");
+});
+
+test("a new box stays while the cameras of its moment are looked through, and is where each of them sees it", async () => {
+  const sent = [];
+  const { app, desk } = deskOf(async (_, { changes }) => sent.push(...changes) && { ...app.state.frame, moved: 0 });
+  const open = (id, matrix, cameras = { 1: 1, 2: 2 }) => {
+    const state = frameState(3, [], id);
+    Object.assign(state.frame, { cameras, T_camera_cloud: matrix });
+    app.state.frame = state;
+    desk.settle();
+  };
+  // the second camera looks to the left from 2 m behind
+  const left = [
+    [0, 0, 1, 0],
+    [0, 1, 0, 0],
+    [-1, 0, 0, 2],
+    [0, 0, 0, 1],
+  ];
+  open(1, null);
+  desk.add({ label: "person", box: BOX, image_box: { x_min: 1 } });
+  const { uid } = desk;
+  open(2, left);
+  desk.select(uid);
+  assert.deepEqual(desk.shown.box.center, [3, 0, 2]);
+  assert.equal(desk.imageBox(uid), null, "it is on the other image");
+  open(1, null);
+  assert.ok(sameBox(desk.labels()[0].box, BOX));
+  assert.deepEqual(desk.imageBox(uid), { x_min: 1 });
+  open(2, left);
+  await desk.decide("accept", uid);
+  assert.deepEqual([sent[0].box.center, sent[0].image_box], [[3, 0, 2], null]);
+  desk.add({ label: "person", box: BOX, image_box: null });
+  open(3, null, { 1: 3 });
+  assert.deepEqual(desk.labels(), [], "another moment");
 });
 
 test("a draft that could not be saved is kept with its reason until it is saved or reverted", async () => {

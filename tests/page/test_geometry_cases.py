@@ -16,6 +16,7 @@ from annotator.geometry.oriented_box import box_corners, turn_of_heading
 from annotator.geometry.outline import box_on_image, heading_px
 from annotator.geometry.projection import project
 from annotator.types import Camera, OrientedBox, PointCloud
+from annotator.web.schemas import CameraJson
 from annotator.workflows.workbench.contact_sheet import views_of_points
 
 FILE = Path(__file__).parent / "geometry.json"
@@ -48,6 +49,7 @@ def cases() -> dict[str, Any]:
                 "camera": {
                     "fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy,
                     "width": camera.width_px, "height": camera.height_px, "distortion": list(lens),
+                    "most_q": CameraJson.of(camera).most_q,
                 },
                 "points": POINTS,
                 "px": project(camera, np.array(POINTS)).tolist(),
@@ -85,7 +87,11 @@ def _extent(camera: Camera, box: OrientedBox) -> list[float]:
 def _numbers(value: Any) -> list[float]:
     if isinstance(value, dict):
         value = list(value.values())
-    return [number for each in value for number in _numbers(each)] if isinstance(value, list) else [value]
+    return (
+        [number for each in value for number in _numbers(each)]
+        if isinstance(value, list)
+        else [np.nan if value is None else value]
+    )
 
 
 def test_the_numbers_of_the_page_are_the_packages() -> None:

@@ -46,6 +46,7 @@ def test_the_state_of_a_frame_has_labels_boxes_and_neighbours(live: Live, projec
         "previous": 1,
         "next": 3,
         "cameras": {"1": 2},
+        "T_camera_cloud": None,
         "attributes": {},
     }
     assert (frame["image"]["width"], frame["image"]["height"]) == (320, 240)

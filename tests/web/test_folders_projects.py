@@ -18,7 +18,7 @@ from test_annotation_api import listen, next_of
 from annotator.project import open_project
 from annotator.project.config import rename_project, set_aside
 from annotator.types.errors import InUseError, NotFoundError
-from annotator.web.folders import Folders
+from annotator.web.folders import NO_ROOTS, Folders
 from annotator.web.jobs.records import Job, JobState
 from annotator.web.security import ServerSettings
 
@@ -45,6 +45,7 @@ def tree(tmp_path: Path) -> Path:
 def test_roots_have_names_that_do_not_reveal_their_paths(tmp_path: Path, tree: Path) -> None:
     other = tmp_path / "other" / "data"
     other.mkdir(parents=True)
+    assert Folders(()).list("").notes == (NO_ROOTS,)
     folders = Folders((tree, other, tree, tmp_path / "missing"))
     listing = folders.list("").entries
     assert [(e.name, e.path, e.recording) for e in listing] == [
@@ -83,6 +84,7 @@ def test_a_folder_without_a_recording_says_what_is_there_and_nearest(tree: Path)
 
 def test_a_path_on_this_computer_can_be_typed(tree: Path, generated: Path) -> None:
     folders = Folders((tree, generated))
+    assert folders.list("data/sub/deep").notes == ("this folder is empty",)
     assert folders.list(f"{tree}/sub/").entries == folders.list("data/sub").entries
     listing = folders.list(str(generated / "people"))
     assert listing.here is not None and listing.here.path == f"{generated.name}/people"

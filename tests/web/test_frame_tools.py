@@ -345,6 +345,15 @@ def test_a_page_shows_the_labels_of_its_moment_and_who_sees_them_best_and_hears_
         assert {best, other} == {1, 2} and all(label["seen_by"] == [best, other] for [label] in seen)
         assert seen[best - 1][0]["better_in"] is None
         assert [label["better_in"] for [label] in seen[2:]] == [best, best]
+        sheets = [rig_live.client.get(f"/api/projects/room/frames/{frame}/sheet").text for frame in (best, 3)]
+        assert [uid in sheet for sheet in sheets] == [True, False]
+        # a page carries boxes that are not stored from one camera to the other
+        poses = [state(rig_live.client, frame)["frame"]["T_camera_cloud"] for frame in range(1, 5)]
+        matrices = [np.eye(4) if pose is None else np.array(pose) for pose in poses]
+        centers = [np.array([*label["box"]["center"], 1.0]) for [label] in seen]
+        for matrix, center in zip(matrices, centers, strict=True):
+            np.testing.assert_allclose(matrix @ np.linalg.inv(matrices[0]) @ centers[0], center, atol=1e-9)
+        assert not np.allclose(centers[0], centers[1])
         answer = rig_live.client.get("/api/projects/room/frames/4", params={"best_for": uid})
         assert answer.json()["frame"]["id"] == best
         tracks = rig_live.client.get("/api/projects/room/recordings/2/tracks").json()

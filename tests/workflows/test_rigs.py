@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from annotator.geometry.oriented_box import box_corners
 from annotator.project import BoxRotation, NewLabel, Project, StoredFrame, WriteContext, open_project
 from annotator.project.backup.take_in import copy_project
 from annotator.project.changes import LabelChanged, Payload
-from annotator.project.recordings import SharedCloud
+from annotator.project.recordings import Recordings, SharedCloud, StoredRecording
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import ReaderOptions, open_recording, stored_options
 from annotator.recordings.look_around import RigCamera
@@ -135,6 +136,24 @@ def test_all_cameras_are_added_as_recordings_of_one_rig(around: Project, tmp_pat
     add_recordings(around, [tmp_path / "clouds"])
     here = around.frames.find(stored[1].id, "1")
     assert cameras_of(around, here) == [(f"clouds@around-{angle:03}", "1") for angle in (0, 90, 180, 270)]
+
+
+def test_nobody_sees_a_rig_of_which_a_part_is_added(
+    make_project: MakeProject, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    project, add = make_project(), Recordings.add
+    with open_project(project.path) as other:
+
+        def second(*arguments: Any) -> StoredRecording:
+            assert other.recordings.all() == ()
+            if project.recordings.all():
+                raise ConfigError("the second one")
+            return add(*arguments)
+
+        monkeypatch.setattr(Recordings, "add", second)
+        with pytest.raises(ConfigError, match="the second one"):
+            add_recordings(project, [write_clouds(tmp_path / "clouds")], options=AROUND, cameras=("all",))
+        assert other.recordings.all() == project.recordings.all() == ()
 
 
 def test_a_frame_whose_pose_was_missing_joins_its_moment_once_it_is_known(make_project: MakeProject, tmp_path: Path):

@@ -1,6 +1,7 @@
 // Oriented boxes and their orthogonal views: pure functions that return a new box and never change the old one.
 
 import {
+  IDENTITY,
   aboutAxis,
   add,
   angleBetween,
@@ -14,6 +15,7 @@ import {
   scale,
   subtract,
   toAngles,
+  transpose,
 } from "./rotation.js";
 
 /** Minimum length of a box's sides, metres. */
@@ -78,6 +80,32 @@ export function sameBox(/** @type {Box3D} */ a, /** @type {Box3D} */ b, /** @typ
   const sizes = a.size.map((value, i) => Math.abs(value - b.size[i]));
   return Math.max(length(subtract(a.center, b.center)), turned, ...sizes) <= toleranceM;
 }
+
+/**
+ * A box in the frame of another camera of the moment; each camera's matrix is from the frame of their cloud, or null.
+ *
+ * @param {Box3D} box
+ * @param {Matrix | null} from of the camera in whose frame the box is.
+ * @param {Matrix | null} to
+ * @returns {Box3D}
+ */
+export function carried(box, from, to) {
+  const [before, start] = split(from);
+  const [after, end] = split(to);
+  const turn = multiply(after, transpose(before));
+  const place = (/** @type {Vector} */ point) => turn.map((row) => dot(row, point));
+  return {
+    center: add(place(subtract(box.center, start)), end),
+    size: [...box.size],
+    rotation: multiply(turn, box.rotation),
+  };
+}
+
+/** Rotation and translation of a 4 x 4 matrix; null: of the identity. @returns {[Matrix, Vector]} */
+const split = (/** @type {Matrix | null} */ matrix) =>
+  matrix === null
+    ? [IDENTITY, [0, 0, 0]]
+    : [[0, 1, 2].map((i) => matrix[i].slice(0, 3)), [0, 1, 2].map((i) => matrix[i][3])];
 
 // -- on a view
 

@@ -9,16 +9,8 @@ const NEAR_M = 0.1;
 /** Number of segments of an edge that lens distortion bends. */
 const STEPS = 16;
 
-/** @type {WeakMap<Api.ImageJson, Camera>} */
-const cameras = new WeakMap();
-
-/** The camera with its picture's size: one object per picture, because the range of its lens is kept by object. */
-export function cameraOf(/** @type {Api.ImageJson} */ image) {
-  const { width, height } = image;
-  const camera = cameras.get(image) ?? { ...image.camera, width, height };
-  cameras.set(image, camera);
-  return camera;
-}
+/** The camera with its picture's size. @returns {Camera} */
+export const cameraOf = (/** @type {Api.ImageJson} */ { camera, width, height }) => ({ ...camera, width, height });
 
 /** A point's pixel coordinates; null if it is behind the camera or outside the range of the lens model. */
 export function project(/** @type {Camera} */ camera, /** @type {Vector} */ [x, y, z]) {
@@ -98,7 +90,7 @@ function distorted(/** @type {Camera} */ camera, /** @type {number} */ x, /** @t
   const k = [...camera.distortion, ...Array(14).fill(0)].slice(0, 14);
   const [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tx, ty] = k;
   const q = x * x + y * y;
-  if (q > reach(camera)) return null;
+  if (q > (camera.most_q ?? Infinity)) return null;
   const factor = radialFactor([k1, k2, k3], q) / radialFactor([k4, k5, k6], q);
   const bent = [
     x * factor + 2 * p1 * x * y + p2 * (q + 2 * x * x) + q * (s1 + q * s2),
@@ -108,34 +100,6 @@ function distorted(/** @type {Camera} */ camera, /** @type {number} */ x, /** @t
 }
 
 const radialFactor = (/** @type {number[]} */ [a, b, c], /** @type {number} */ q) => 1 + q * (a + q * (b + q * c));
-
-/** @type {WeakMap<Camera, number>} */
-const reaches = new WeakMap();
-
-/**
- * The squared radius up to which the radial model increases. Points beyond it, far outside the picture, would be
- * projected into it.
- */
-function reach(/** @type {Camera} */ camera) {
-  const known = reaches.get(camera) ?? findReach(camera);
-  reaches.set(camera, known);
-  return known;
-}
-
-function findReach(/** @type {Camera} */ { distortion }) {
-  const [k1, k2, , , k3 = 0, k4 = 0, k5 = 0, k6 = 0] = distortion;
-  // no picture extends more than about 84 degrees from its axis
-  const [most, steps] = [10, 4000];
-  let before = 0;
-  for (let i = 1; i <= steps; i += 1) {
-    const r = (most * i) / steps;
-    const below = radialFactor([k4, k5, k6], r * r);
-    const now = (r * radialFactor([k1, k2, k3], r * r)) / below;
-    if (below <= 0 || now <= before) return ((most * (i - 1)) / steps) ** 2;
-    before = now;
-  }
-  return Infinity;
-}
 
 /**
  * The tilted sensor of OpenCV's model: turned about x by tx, then about y by ty, and projected through the lens again.

@@ -43,6 +43,10 @@ export const numberField = (
 export const ticked = (/** @type {HTMLInputElement[]} */ boxes) =>
   boxes.filter((box) => box.checked).map((box) => box.value);
 
+/** The parts of a text between separators; empty ones are left out. */
+export const partsOf = (/** @type {string} */ text, /** @type {string} */ separator) =>
+  text.split(separator).flatMap((part) => part.trim() || []);
+
 /** Choices of a form that belong together, with a name above them. */
 export const group = (/** @type {string} */ legend, /** @type {Children[]} */ ...rows) =>
   h("fieldset.plain", h("legend.field-label", legend), ...rows);

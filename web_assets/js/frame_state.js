@@ -55,12 +55,16 @@ export function createFrameState(/** @type {App} */ app) {
       return state.frame !== null && (hasMissed || isOutdated(state.frame));
     },
 
-    /** Takes a state of the open frame. Returns false, and does not show the state, if it is older or of another frame. */
+    /**
+     * Takes a state of the open frame, or of one that may be opened again. Returns false, and does not show the state,
+     * if it is older or of another frame.
+     */
     take(/** @type {FrameState} */ frame) {
-      const open = state.frame;
+      const isNewer = (/** @type {FrameState | null | undefined} */ than) =>
+        isSame(frame, than ?? null) && frame.frame.revision >= (than?.frame.revision ?? 0);
       const path = pathOf(frame.frame.id, null);
-      if (ahead.has(path)) keep(path, frame);
-      if (open === null || !isSame(frame, open) || frame.frame.revision < open.frame.revision) return false;
+      if (isNewer(ahead.get(path))) keep(path, frame);
+      if (!isNewer(state.frame)) return false;
       state.set({ frame });
       return true;
     },

@@ -69,6 +69,6 @@ export function mountGuide(/** @type {App} */ app) {
   };
   for (const what of /** @type {const} */ (["route", "project", "jobs"])) app.state.on(what, () => show());
   // the numbers of a project's labels come with it
-  app.state.on("frame", () => !root.hidden && app.refreshProject().catch(app.toast));
+  app.state.on("frame", () => !root.hidden && app.refreshProject());
   show();
 }

@@ -112,7 +112,7 @@ export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
   const root = h("div.job-line", { "data-testid": `job-${kind}`, role: "status" });
 
   async function importRest(/** @type {Api.Job} */ job) {
-    const { importLeftOut } = await import("./start/class_choice.js");
+    const { importLeftOut } = await import("./start/boxes_file.js");
     const begun = await importLeftOut(app, job);
     if (!begun) return;
     rest = begun.id;

@@ -24,19 +24,7 @@ import { mountTimeline } from "./timeline/timeline.js";
 import { applyTheme, mountTopbar } from "./topbar.js";
 import { createViewport } from "./viewport.js";
 
-/** @type {Record<string, string>} */
-const MODULES = {
-  start: "./start/start.js",
-  annotate: "./annotate/annotate.js",
-  train: "./train/train.js",
-  export: "./export/export.js",
-  statistics: "./stats/stats.js",
-  checks: "./checks/checks.js",
-  alignment: "./alignment/alignment.js",
-};
-
 const work = elementById("work");
-const app = createApp();
 /** @type {Mounted | null} */
 let mounted = null;
 /** Ends what the mounted mode listens to. */
@@ -47,48 +35,45 @@ let isBroken = false;
 /** @type {AbortController | null} */
 let frameRequest = null;
 
-function createApp() {
-  const effort = createEffort();
-  const state = createState({
-    operator: null,
-    version: "",
-    route: parseHash(""),
-    project: null,
-    frame: null,
-    timeline: null,
-    track: null,
-    span: null,
-    presence: {},
-    jobs: [],
-    connected: true,
-  });
-  /** @type {App} */
-  const made = {
-    api: createApi(effort, () => signIn(made)),
-    effort,
-    events: createEvents(),
-    get frames() {
-      return frames;
-    },
-    keys: createKeys(),
-    state,
-    viewport: null,
-    toast,
-    go(hash) {
-      if (location.hash === hash) void follow();
-      else location.hash = hash;
-    },
-    path: (...parts) => projectPath(state.route.project ?? "", ...parts),
-    refreshProject,
-    loadFrame,
-    mayLeave,
-    stay: (frame) => comeBack({ ...state.route, frame }),
-    undo: () => travel("undo"),
-    redo: () => travel("redo"),
-  };
-  const frames = createFrameState(made);
-  return made;
-}
+const effort = createEffort();
+const state = createState({
+  operator: null,
+  version: "",
+  route: parseHash(""),
+  project: null,
+  frame: null,
+  timeline: null,
+  track: null,
+  span: null,
+  presence: {},
+  jobs: [],
+  connected: true,
+});
+/** @type {App} */
+const app = {
+  api: createApi(effort, () => signIn(app)),
+  effort,
+  events: createEvents(),
+  get frames() {
+    return frames;
+  },
+  keys: createKeys(),
+  state,
+  viewport: null,
+  toast,
+  go(hash) {
+    if (location.hash === hash) void follow();
+    else location.hash = hash;
+  },
+  path: (...parts) => projectPath(state.route.project ?? "", ...parts),
+  refreshProject,
+  loadFrame,
+  mayLeave,
+  stay: (frame) => comeBack({ ...state.route, frame }),
+  undo: () => travel("undo"),
+  redo: () => travel("redo"),
+};
+const frames = createFrameState(app);
 
 async function refreshProject() {
   const name = app.state.route.project;
@@ -118,10 +103,11 @@ async function loadFrame(/** @type {number} */ id, /** @type {string | null} */ 
 }
 
 /** Saves the unsaved work of the mode. If something cannot be saved, the operator decides. */
-async function mayLeave() {
+async function mayLeave(/** @type {number | null} */ to = null) {
   await mounted?.flush?.();
-  const unsaved = mounted?.unsaved?.() ?? null;
-  return unsaved === null || askUnsaved(unsaved, () => mounted?.unsaved?.() ?? null);
+  const find = () => mounted?.unsaved?.(to) ?? null;
+  const unsaved = find();
+  return unsaved === null || askUnsaved(unsaved, find);
 }
 
 function comeBack(/** @type {Omit<Route, "query">} */ { project, mode, frame }) {
@@ -241,7 +227,6 @@ async function follow(isAnew = false) {
       showJobs();
       await refreshProject();
     }
-    /** @type {Mode} */
     const module = await loadMode(route.mode);
     if (ownVisit !== visit) return;
     work.replaceChildren();
@@ -256,10 +241,10 @@ async function follow(isAnew = false) {
   }
 }
 
-/** @returns {Promise<Mode>} */
+/** The module of a mode has its name. @returns {Promise<Mode>} */
 async function loadMode(/** @type {string} */ mode) {
   try {
-    return await import(MODULES[mode]);
+    return await import(`./${mode}/${mode}.js`);
   } catch (error) {
     // says that the server does not respond, if that is the reason
     await app.api.get("/api/session");
@@ -331,7 +316,7 @@ async function start() {
   window.addEventListener("beforeunload", (event) => {
     // sent while the browser shows its question
     void mounted?.flush?.();
-    if (mounted?.unsaved?.()) event.preventDefault();
+    if (mounted?.unsaved?.(null)) event.preventDefault();
   });
   // no part of the page need catch an error only to show it; those of the page itself are in the console, too
   window.addEventListener("unhandledrejection", (event) => {

@@ -1,6 +1,7 @@
 /** The page's addresses: #/ · #/PROJECT/MODE · #/PROJECT/MODE/FRAME, each with an optional ?query. */
 
-const MODES = ["annotate", "train", "export", "statistics", "checks", "alignment"];
+/** In the order of their tabs. */
+export const MODES = ["annotate", "train", "export", "statistics", "checks", "alignment"];
 
 /**
  * "#/hands/annotate/3?uid=ab" -> {project: "hands", mode: "annotate", frame: 3, query: URLSearchParams}.

@@ -6,18 +6,9 @@
 import { confirm, keyTableDialog } from "./dialogs.js";
 import { button, h, iconButton, patch } from "./dom.js";
 import { isActive, NAMES, OF_START, showProgress, waiting } from "./jobs.js";
-import { makeHash } from "./router.js";
+import { makeHash, MODES } from "./router.js";
 import { signOut } from "./session.js";
 import { createWhere, WITH_FRAME } from "./where.js";
-
-const TABS = [
-  ["annotate", "Annotate"],
-  ["train", "Train"],
-  ["export", "Export"],
-  ["statistics", "Statistics"],
-  ["checks", "Checks"],
-  ["alignment", "Alignment"],
-];
 
 export function mountTopbar(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
   const logo = h("img", { src: "/assets/icon.svg", alt: "" });
@@ -41,7 +32,8 @@ function tabs(/** @type {App} */ app) {
     project.textContent = name;
     project.title = name;
     const frame = app.state.frame?.frame.id ?? null;
-    const links = TABS.map(([mode, label]) => {
+    const links = MODES.map((mode) => {
+      const label = `${mode[0].toUpperCase()}${mode.slice(1)}`;
       const href = makeHash(name, mode, WITH_FRAME.has(mode) ? frame : null);
       return h("a", { href, "aria-current": mode === current ? "page" : null, "data-testid": `mode-${mode}` }, label);
     });

@@ -185,6 +185,14 @@ class Attribute(_Sparse):
         least = "" if self.minimum is None else f" from {self.minimum:g}"
         return what + least + ("" if self.maximum is None else f" to {self.maximum:g}")
 
+    def words(self) -> str:
+        """What it is, for people, such as "a whole number from 0 to 3; of each track; required"."""
+        of = "" if self.of is AttributeOf.BOX else f"of each {self.of}"
+        has = f"of {', '.join(self.classes)}" if self.classes else ""
+        default = "" if self.default is None else f"default {value_text(self.default)}"
+        key = f"key {self.key}" if self.key else ""
+        return "; ".join(filter(None, [self.values_text(), of, has, "required" if self.required else "", default, key]))
+
     def _is_within(self, value: int | float) -> bool:
         above = self.minimum is None or value >= self.minimum
         return above and (self.maximum is None or value <= self.maximum)

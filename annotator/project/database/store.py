@@ -252,6 +252,9 @@ class Store:
             ReplacedError: the file was removed or replaced, so that the change would be lost.
             ProjectError: the database stays locked, is damaged, or cannot be written.
         """
+        if (outer := getattr(self._thread, "writing", None)) is not None:
+            yield outer
+            return
         self._require_writable()
         ends_s = time.monotonic() + patience_s(BUSY_TIMEOUT_S)
         # after the timeout, SQLite itself reports the problem
@@ -264,6 +267,16 @@ class Store:
         finally:
             if has_lock:
                 self.write_lock.release()
+
+    @contextmanager
+    def together(self) -> Iterator[None]:
+        """Within the block, all that the thread writes is one transaction, as in `write`, and its reads see it."""
+        with self.write() as connection:
+            self._thread.writing = self._thread.connection = connection
+            try:
+                yield
+            finally:
+                self._thread.writing = self._thread.connection = None
 
     def _require_writable(self, why: str = "") -> None:
         if not self.file.is_writable:

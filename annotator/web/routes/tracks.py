@@ -26,6 +26,7 @@ from annotator.workflows.tracks.propose_boxes import boxes_of
 from annotator.workflows.tracks.refit_run import RefitRun, box_fitter
 from annotator.workflows.workbench.contact_sheet import SeenBox, accept_boxes
 from annotator.workflows.workbench.frame_cache import OpenFrame
+from annotator.workflows.workbench.frame_state import Sight, sights
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector, has_view_with_classes
 
 router = APIRouter(tags=["tracks"])
@@ -241,9 +242,11 @@ def track_sheet(at: AtProject, recording_id: RowId, track_id: TrackId) -> Stream
 
 @router.get("/api/projects/{name}/frames/{frame_id}/sheet", response_class=StreamingResponse, responses=STREAM)
 def frame_sheet(at: AtFrame) -> StreamingResponse:
-    """The pictures of a frame's boxes, as those of a track."""
+    """The pictures of a frame's boxes, as those of a track; without those that another camera sees better."""
     page = read_page(at.project, at.frame_id)
-    return _tiles(at, [(page.frame, stored.label) for stored in page.labels])
+    seen = sights(at.project, at.ctx.caches.frames, page)
+    labels = (stored.label for stored in page.labels)
+    return _tiles(at, [(page.frame, one) for one in labels if seen.get(one.uid, Sight()).better is None])
 
 
 def _tiles(at: InProject, boxes: Sequence[tuple[StoredFrame, Label]]) -> StreamingResponse:

@@ -3,8 +3,8 @@
 import { add, cross, dot, scale, subtract, unit } from "../rotation.js";
 
 export const RAD = Math.PI / 180;
-/** Lines of the grid in each direction, and the points of a line. */
-const [LINES, STEPS] = [9, 40];
+/** Lines of the grid in each direction. */
+const LINES = 9;
 
 /** The up direction of a camera that is rolled clockwise and pitched up by these angles. */
 export function upOf(/** @type {{ roll: number, pitch: number }} */ { roll, pitch }) {
@@ -17,7 +17,7 @@ export function anglesOf(/** @type {Vector} */ up) {
   return { roll: Math.atan2(x, -y) / RAD, pitch: Math.asin(Math.max(-1, Math.min(1, z))) / RAD };
 }
 
-/** A level grid through the lowest points, and plumb lines on some points: lists of points in the camera frame. */
+/** A level grid through the lowest points, and plumb lines on some points: their two ends in the camera frame. */
 export function levelLines(/** @type {Vector} */ up, /** @type {Vector[]} */ points) {
   if (points.length === 0) return { grid: [], plumb: [] };
   const heights = points.map((point) => dot(point, up));
@@ -29,7 +29,7 @@ export function levelLines(/** @type {Vector} */ up, /** @type {Vector[]} */ poi
   const centre = add(scale(up, floor), scale(ahead, 0.6 * reach));
   const at = (/** @type {number} */ i) => reach * ((2 * i) / (LINES - 1) - 1);
   const line = (/** @type {Vector} */ offset, /** @type {Vector} */ along) =>
-    Array.from({ length: STEPS + 1 }, (_, n) => add(offset, scale(along, reach * ((2 * n) / STEPS - 1))));
+    [-reach, reach].map((by) => add(offset, scale(along, by)));
   const grid = Array.from({ length: LINES }, (_, i) => i).flatMap((i) => [
     line(add(centre, scale(ahead, at(i))), aside),
     line(add(centre, scale(aside, at(i))), ahead),
@@ -39,15 +39,14 @@ export function levelLines(/** @type {Vector} */ up, /** @type {Vector[]} */ poi
   return { grid, plumb };
 }
 
-/** Points at an equal height as the camera, straight ahead and to both sides: the horizon. */
+/** The horizon ahead, if it is seen, in short lines: far points at an equal height as the camera. */
 export function horizon(/** @type {Vector} */ up) {
   const ahead = aheadOf(up);
   if (ahead === null) return [];
   const aside = cross(ahead, up);
-  return Array.from({ length: STEPS + 1 }, (_, i) => {
-    const angle = 80 * ((2 * i) / STEPS - 1) * RAD;
-    return add(scale(ahead, 1e4 * Math.cos(angle)), scale(aside, 1e4 * Math.sin(angle)));
-  });
+  const at = (/** @type {number} */ degrees) =>
+    add(scale(ahead, 1e4 * Math.cos(degrees * RAD)), scale(aside, 1e4 * Math.sin(degrees * RAD)));
+  return Array.from({ length: 40 }, (_, i) => [at(4 * i - 80), at(4 * i - 76)]);
 }
 
 /** The level direction straight ahead; null: the camera looks up or down. */

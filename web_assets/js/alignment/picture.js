@@ -1,6 +1,6 @@
 /** The image with the cloud over it, coloured by depth, and the level. The wheel zooms, a drag moves the picture. */
 
-import { project } from "../camera.js";
+import { line, project } from "../camera.js";
 import { h } from "../dom.js";
 import { createView } from "../editor2d/geometry.js";
 import { checkbox } from "../forms.js";
@@ -153,27 +153,17 @@ function paintLevel(
     [grid, "rgb(0 0 0 / 60%)", 2.4],
     [grid, "#7fffb0", 1],
     [plumb, "#ffffff", 1.4],
-    [[horizon(up)], "#ffd84a", 1.4],
+    [horizon(up), "#ffd84a", 1.4],
   ])) {
     context.strokeStyle = color;
     context.lineWidth = width * factor;
-    for (const line of lines) paintLine(context, camera, line);
+    context.beginPath();
+    for (const [from, to] of lines)
+      for (const [first, ...others] of line(camera, from, to)) {
+        context.moveTo(first[0], first[1]);
+        for (const [x, y] of others) context.lineTo(x, y);
+      }
+    context.stroke();
   }
   context.setLineDash([]);
-}
-
-function paintLine(
-  /** @type {CanvasRenderingContext2D} */ context,
-  /** @type {Camera} */ camera,
-  /** @type {Vector[]} */ line,
-) {
-  context.beginPath();
-  let isDown = false;
-  for (const point of line) {
-    const px = point[2] > 0.05 ? project(camera, point) : null;
-    if (px !== null && isDown) context.lineTo(px[0], px[1]);
-    else if (px !== null) context.moveTo(px[0], px[1]);
-    isDown = px !== null;
-  }
-  context.stroke();
 }

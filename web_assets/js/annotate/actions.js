@@ -1,51 +1,37 @@
 /** The row of buttons under the pictures, which do the same as the keys. */
 
 import { button, h, iconButton } from "../dom.js";
+import { KEYS } from "../keys.js";
 import { isOpen } from "./desk.js";
 
-/** @type {[Api.Gizmo, string, string][]} */
-const GIZMOS = [
-  ["translate", "Move", "T"],
-  ["rotate", "Turn", "R"],
-  ["off", "Off", "Y"],
-];
+const GIZMOS = { translate: "Move", rotate: "Turn", off: "Off" };
 
 export function createActions(/** @type {Annotate} */ at) {
   const { app, desk, queue, opening, teach } = at;
   const act = at.commands.keys;
-  const action = (
-    /** @type {string} */ id,
-    /** @type {string | HTMLElement} */ text,
-    /** @type {string} */ key,
-    /** @type {string} */ kind = "",
-  ) =>
-    button([text, h("kbd", key)], () => act[id](""), {
-      class: kind,
-      title: `${typeof text === "string" ? text : text.textContent} (${key})`,
-      "data-testid": `act-${id.split("-")[0]}`,
-    });
+
+  /** A button that does the same as a key, with the help and the name of that key. */
+  function action(/** @type {string} */ id, /** @type {Child} */ text, /** @type {Attributes} */ more = {}) {
+    const { label, keys } = KEYS.find((row) => row.id === id) ?? { label: "", keys: [] };
+    const attributes = { title: `${label} (${keys[0]})`, "data-testid": `act-${id.split("-")[0]}`, ...more };
+    return button([text, h("kbd", keys[0])], () => act[id](""), attributes);
+  }
+
   const word = h("span", "Accept");
-  const accept = action("accept", word, "Space", "primary");
-  const reject = action("reject", "Reject", "X");
-  const refit = action("refit", "Fit again", "G");
-  const turn = action("turn", "Turn", "F");
-  turn.title = "Turn the heading by 180° (F), or by 90° (Shift F)";
-  const copy = action("copy-previous", "Copy previous", "C");
-  const follow = action("follow", "Follow", "V");
-  const draw = action("draw-box", "New box", "B");
-  const remove = iconButton("trash", "Delete the box (Del)", () => act.delete(""), {
-    "data-testid": "act-delete",
-  });
+  const accept = action("accept", word, { class: "primary" });
+  const reject = action("reject", "Reject");
+  const refit = action("refit", "Fit again");
+  const turn = action("turn", "Turn");
+  const copy = action("copy-previous", "Copy previous");
+  const follow = action("follow", "Follow");
+  const draw = action("draw-box", "New box");
+  const remove = iconButton("trash", "Delete the box (Del)", () => act.delete(""), { "data-testid": "act-delete" });
   const finalise = button([], () => act.finalise(""), { "data-testid": "act-finalise" });
   const gizmo = h(
     "div.segments",
     { role: "group", "aria-label": "Gizmo in the 3D view" },
-    GIZMOS.map(([mode, text, key]) =>
-      button([text, h("kbd", key)], () => act[`gizmo-${mode}`](""), {
-        "data-mode": mode,
-        title: `Gizmo: ${text.toLowerCase()} (${key})`,
-        "data-testid": `gizmo-${mode}`,
-      }),
+    Object.entries(GIZMOS).map(([mode, text]) =>
+      action(`gizmo-${mode}`, text, { "data-mode": mode, "data-testid": `gizmo-${mode}` }),
     ),
   );
   const views = [false, true].map((on) =>
@@ -94,8 +80,6 @@ export function createActions(/** @type {Annotate} */ at) {
       accept.title = title;
       copy.disabled = !frame || frame.frame.previous === null || busy || frame.frame.finalised;
       follow.disabled = !frame || frame.frame.next === null || !(isReviewed || label?.isNew) || busy;
-      follow.title =
-        "Follow this reviewed or new box through the recording (V; back: Shift V), or all of this frame (J, Shift J)";
       draw.disabled = !frame || busy || frame.frame.finalised;
       draw.setAttribute("aria-pressed", String(at.image.isDrawing));
       finalise.disabled = !frame || busy;

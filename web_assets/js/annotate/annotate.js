@@ -35,11 +35,11 @@ import { createTracks } from "./tracks.js";
 /** A picture with a greater ratio of width to height gets a wider place. */
 const WIDE_ASPECT = 1.9;
 
-export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
+export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app, /** @type {AbortSignal} */ until) {
   root.classList.add("fixed");
   if (app.state.project.frames === 0) {
     root.append(emptyProject(app));
-    return { unmount() {} };
+    return;
   }
   const parts = layout();
   root.append(parts.root);
@@ -63,7 +63,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   const preload = createPreload(app, desk, queue, opening);
   const picker = createNextClass(parts.classes, app);
   const areas = createAreas(parts.root);
-  const core = { app, parts, desk, queue, opening, preload, picker, areas, showDrawn, showBest };
+  const core = { app, parts, until, desk, queue, opening, preload, picker, areas, showDrawn, showBest };
   const at = Object.assign(/** @type {Annotate} */ ({}), core);
   at.sheet = createSheet(at);
   at.tracks = createTracks(at);
@@ -128,66 +128,66 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     if (opening.loading) return;
     const picture = app.state.frame?.image;
     parts.root.classList.toggle("wide", picture !== undefined && picture.width > WIDE_ASPECT * picture.height);
-    image.show();
-    boxList.show();
+    showBox();
     picker.show();
-    fields.show();
-    attributes.show();
-    tracks.show();
     const track = desk.stored()?.track_id ?? null;
     if (track !== app.state.track) app.state.set({ track });
     showQueue();
     scene.show();
-    map.show();
     void ortho.show();
   }
 
-  const stop = [
-    desk.on((what) => {
-      if (what === "saving") {
-        showBusy();
-      } else if (what === "draft") {
-        image.show();
-        boxList.show();
-        ortho.follow();
-        map.show();
-        fields.show();
-        attributes.show();
-        tracks.show();
-        scene.preview();
-        if (!desk.hasDraft) void ortho.show();
-      } else {
-        if (what === "selection") {
-          queue.visit(desk.uid);
-          if (desk.shown) picker.pick(desk.shown.label);
-          teach.follow();
-        }
-        showAll();
+  /** What shows the selected box, except those parts that follow a drag in another way. */
+  function showBox() {
+    for (const part of [image, boxList, fields, attributes, tracks, map]) part.show();
+  }
+
+  const offDesk = desk.on((what) => {
+    if (what === "saving") {
+      showBusy();
+    } else if (what === "draft") {
+      showBox();
+      ortho.follow();
+      scene.preview();
+      if (!desk.hasDraft) void ortho.show();
+    } else {
+      if (what === "selection") {
+        queue.visit(desk.uid);
+        if (desk.shown) picker.pick(desk.shown.label);
+        teach.follow();
       }
-    }),
-    app.state.on("frame", (frame) => {
-      if (!frame) return;
-      desk.settle();
-      teach.settle();
-      queue.settle(frame);
-      selectWhatWasUndone(frame);
-    }),
-    app.state.on("project", () => {
-      queueList.fill();
-      fields.fill();
-      teach.show();
       showAll();
-    }),
-    app.events.on("classes", ({ renamed }) => {
-      desk.rename(renamed);
-      teach.rename(renamed);
-      catchUp();
-    }),
-    app.events.on("frame", catchUp),
-    app.events.on("still", catchUp),
-    app.events.on("reconnected", catchUp),
-    app.keys.register(at.commands.keys),
-  ];
+    }
+  });
+  const onFrame = (/** @type {FrameState | null} */ frame) => {
+    if (!frame) return;
+    desk.settle();
+    teach.settle();
+    queue.settle(frame);
+    selectWhatWasUndone(frame);
+  };
+  const onProject = () => {
+    queueList.fill();
+    teach.show();
+    showAll();
+  };
+  const onClasses = (/** @type {Messages["classes"]} */ { renamed }) => {
+    desk.rename(renamed);
+    teach.rename(renamed);
+    catchUp();
+  };
+  app.state.on("frame", onFrame, until);
+  app.state.on("project", onProject, until);
+  app.events.on("classes", onClasses, until);
+  for (const type of /** @type {const} */ (["frame", "still", "reconnected"])) app.events.on(type, catchUp, until);
+  const offKeys = app.keys.register(at.commands.keys);
+  until.addEventListener("abort", () => {
+    offDesk();
+    offKeys();
+    queue.end();
+    preload.stop();
+    app.events.openFrame(null);
+  });
 
   /** Others have saved something. */
   function catchUp() {
@@ -205,14 +205,16 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     if (changed) desk.select(changed.uid);
   }
 
+  /** Whether a frame is of the open moment: its boxes are the same in all cameras, also those that are not stored. */
+  const isOfMoment = (/** @type {number | null} */ frame) =>
+    Object.values(app.state.frame?.frame.cameras ?? {}).includes(frame ?? -1);
+
   actions.show();
   void opening.begin();
 
   return {
     route(/** @type {Route} */ { frame, query }) {
-      // the boxes of a moment are the same in all its cameras
-      const isSameMoment = Object.values(app.state.frame?.frame.cameras ?? {}).includes(frame ?? -1);
-      const [uid, track] = [query.get("uid") ?? (isSameMoment ? desk.uid : null), trackIn(query)];
+      const [uid, track] = [query.get("uid") ?? (isOfMoment(frame) ? desk.uid : null), trackIn(query)];
       if (frame === null) void opening.begin();
       else if (frame !== opening.opened && frame !== opening.broken)
         void opening.open(frame, uid, track).then((isOpen) => {
@@ -221,8 +223,8 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       else if (uid) desk.select(uid);
       else if (track !== null) opening.pick(null, track);
     },
-    unsaved() {
-      const all = [teach.unsaved, desk.unsaved].filter((one) => one !== null);
+    unsaved(/** @type {number | null} */ to) {
+      const all = [teach.unsaved, isOfMoment(to) ? null : desk.unsaved].filter((one) => one !== null);
       if (all.length === 0) return null;
       return {
         text: all.map(({ text }) => text).join(" "),
@@ -241,19 +243,6 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
           frame: app.state.frame.frame.id,
           labels: new Map(desk.labels().map((label) => [label.uid, fingerprint(label)])),
         };
-    },
-    unmount() {
-      for (const end of stop) end();
-      queue.end();
-      at.follow.destroy();
-      scene.destroy();
-      ortho.destroy();
-      preload.stop();
-      boxList.destroy();
-      teach.destroy();
-      map.destroy();
-      image.destroy();
-      app.events.openFrame(null);
     },
   };
 }

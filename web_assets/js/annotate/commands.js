@@ -191,7 +191,6 @@ export function createCommands(/** @type {Annotate} */ at) {
   async function fitDrawn(/** @type {Box2D} */ box) {
     if (at.teach.isOn) return at.teach.draw(box);
     const { id } = currentFrame(app).frame;
-    /** @type {Api.FitOut} */
     const answer = await app.api.post(app.path("frames", id, "fit"), { image_box: box });
     const { note, box: fitted, too_few_points, ...facts } = answer;
     if (app.state.frame?.frame.id !== id || !at.parts.root.isConnected)
@@ -252,16 +251,8 @@ export function createCommands(/** @type {Annotate} */ at) {
     if (!app.state.frame) return;
     const { frame } = app.state.frame;
     const left = desk.labels().filter(isOpen).length;
-    if (
-      !frame.finalised &&
-      left > 0 &&
-      !(await confirm(
-        "Finalise the frame",
-        `${count(left, "proposal")} of this frame ${left === 1 ? "is" : "are"} not reviewed yet.`,
-        "Finalise anyway",
-      ))
-    )
-      return;
+    const text = `${count(left, "proposal")} of this frame ${left === 1 ? "is" : "are"} not reviewed yet.`;
+    if (!frame.finalised && left > 0 && !(await confirm("Finalise the frame", text, "Finalise anyway"))) return;
     if (await desk.finalise(!frame.finalised))
       app.toast(frame.finalised ? "The frame is reopened." : "The frame is finalised.", "good");
   }

@@ -8,7 +8,7 @@
  * `DeskEvent`.
  */
 
-import { copyBox, fillSame, sameBox } from "../box3d.js";
+import { carried, copyBox, fillSame, sameBox } from "../box3d.js";
 import { count } from "../dom.js";
 import { messageOf } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
@@ -21,13 +21,15 @@ export const isOpen = (/** @type {{ state: Api.ReviewState }} */ label) => label
 export function createDesk(/** @type {App} */ app) {
   /** @type {Set<(what: DeskEvent) => unknown>} */
   const listeners = new Set();
-  /** Drafts by uid, of boxes of the frame `home`. @type {Map<string | null, LabelDraft>} */
+  /** Drafts by uid, of boxes of the moment of the frame `home`, whose camera sees them so. @type {Map<string | null, LabelDraft>} */
   const drafts = new Map();
-  /** New boxes by uid, of the same frame. @type {Map<string | null, NewLabel>} */
+  /** New boxes by uid, of the same moment. @type {Map<string | null, NewLabel>} */
   const added = new Map();
   let number = 0;
   /** @type {number | null} */
   let home = null;
+  /** That of its camera at the cloud. @type {Matrix | null} */
+  let pose = null;
   /** @type {string | null} */
   let uid = null;
   /** @type {Set<() => void>} */
@@ -83,9 +85,11 @@ export function createDesk(/** @type {App} */ app) {
 
   /** To be called after each new state of the frame: the selected box may be gone, and drafts may be saved. */
   function settle() {
-    const { id } = currentFrame(app).frame;
-    if (id !== home) forget();
+    const { id, cameras, T_camera_cloud: there } = currentFrame(app).frame;
+    if (id !== home && home !== null && Object.values(cameras).includes(home)) carry(there);
+    else if (id !== home) forget();
     home = id;
+    pose = there;
     for (const gone of [...drafts.keys()].filter((known) => !stored(known))) {
       // if a draft is being sent, the answer to it reports the outcome
       const mustNotify = !drafts.get(gone)?.sending;
@@ -94,6 +98,16 @@ export function createDesk(/** @type {App} */ app) {
     }
     if (uid !== null && !stored()) uid = null;
     notify("frame");
+  }
+
+  /** Another camera of the moment was opened: it sees the same boxes. */
+  function carry(/** @type {Matrix | null} */ there) {
+    const move = (/** @type {Box3D} */ box) => carried(box, pose, there);
+    for (const { wanted, base } of drafts.values()) for (const each of [wanted, base]) each.box = move(each.box);
+    for (const entry of added.values()) {
+      entry.label = { ...entry.label, box: move(entry.label.box), outline: [] };
+      entry.found = move(entry.found);
+    }
   }
 
   function forget() {
@@ -157,6 +171,12 @@ export function createDesk(/** @type {App} */ app) {
     return true;
   }
 
+  /** The box on the open image in which a new box was found, or null. */
+  function imageBox(/** @type {string | null} */ id) {
+    const entry = added.get(id);
+    return entry && entry.frame === home ? entry.image_box : null;
+  }
+
   /** Accepts a new box, which stores it. It is stored once, even if it is accepted again before the answer. */
   function create(/** @type {string | null} */ id, /** @type {NewLabel} */ entry) {
     entry.sending ??= storeNew(id, entry).finally(() => {
@@ -174,7 +194,7 @@ export function createDesk(/** @type {App} */ app) {
     const known = new Set(labels().map((one) => one.uid));
     app.effort.action(entry.actions);
     /** @type {Change} */
-    const change = { kind: "create", label, box, track_id, image_box: entry.image_box, suggestion };
+    const change = { kind: "create", label, box, track_id, image_box: imageBox(id), suggestion };
     const error = await send([change], null);
     entry.problem = error;
     // the next try counts its own effort
@@ -258,7 +278,7 @@ export function createDesk(/** @type {App} */ app) {
 
     isDraft: (/** @type {string} */ id) => drafts.has(id),
     /** The box on the image in which a new box was found, or null. */
-    imageBox: (/** @type {string} */ id) => added.get(id)?.image_box ?? null,
+    imageBox,
     /** The reason why a label could not be saved, or null. */
     problemOf: (id = uid) => drafts.get(id)?.problem ?? added.get(id)?.problem ?? null,
 
@@ -292,7 +312,7 @@ export function createDesk(/** @type {App} */ app) {
         better_in: null,
         still: false,
       };
-      added.set(uid, { label, image_box, found: fit.box, actions: 1, problem: null, sending: null });
+      added.set(uid, { label, image_box, frame: home, found: fit.box, actions: 1, problem: null, sending: null });
       notify("selection");
     },
 

@@ -1,7 +1,9 @@
 /** How a 3D box is drawn on the image: its colour, its outline, its heading, and a text. */
 
-import { imageHeading, outline } from "../camera.js";
+import { valuesText } from "../attributes.js";
+import { cameraOf, imageHeading, outline } from "../camera.js";
 import { STATE_COLORS } from "../colors.js";
+import { currentFrame } from "../frame_state.js";
 import { jumpText } from "../heading_mark.js";
 
 /** Characters of the values at a box on the image. */
@@ -28,29 +30,27 @@ function selectedTag(/** @type {PageLabel} */ label, /** @type {string} */ name,
   return [name, label.isNew ? "" : label.state, shown].filter(Boolean).join(" · ");
 }
 
-/**
- * A label on the camera image. `box` replaces the stored box, `color` the colour of the state.
- *
- * @param {Camera} camera
- * @param {PageLabel} label
- * @param {{ name: string, selected: boolean, box: Box3D | null, color?: string, values?: string }} shown values: of
- *     its attributes.
- * @returns {Overlay}
- */
-export function imageOverlay(camera, label, { name, selected, box, color = STATE_COLORS[label.state], values = "" }) {
-  const segments = box ? outline(camera, box) : label.outline;
-  const seen = box ?? label.box;
-  const jump = jumpText({ ...label, box: seen });
-  const tag = [selected ? selectedTag(label, name, values) : name, jump].filter(Boolean).join(" · ");
-  const heading = imageHeading(camera, seen);
+/** A label on the camera image, as it is now; `color` replaces that of its state. @returns {Overlay} */
+export function imageOverlay(
+  /** @type {Annotate} */ { app, desk },
+  /** @type {PageLabel} */ stored,
+  /** @type {string | undefined} */ color,
+) {
+  const camera = cameraOf(currentFrame(app).image);
+  const label = desk.seen(stored);
+  const isSelected = label.uid === desk.uid;
+  // the server has drawn the others as they are stored
+  const isChanging = isSelected || label.isNew || desk.isDraft(label.uid);
+  const name = shortName(label, desk.labels());
+  const jump = jumpText(label);
   return {
     id: label.uid,
-    segments,
-    heading,
-    color,
+    segments: isChanging ? outline(camera, label.box) : label.outline,
+    heading: imageHeading(camera, label.box),
+    color: color ?? STATE_COLORS[label.state],
     dash: label.state === "rejected",
-    strong: selected,
-    tag,
+    strong: isSelected,
+    tag: [isSelected ? selectedTag(label, name, valuesText(app, label)) : name, jump].filter(Boolean).join(" · "),
     wrong: jump !== "",
   };
 }

@@ -5,6 +5,7 @@ import { button, count, h, leaveField, patch } from "../dom.js";
 import { jumpText } from "../heading_mark.js";
 import { OWN } from "./queue.js";
 
+const ID = "The object's id in the recording";
 const METRES = { unit: "m", step: 0.01, digits: 3 };
 /** The numbers of a box, in groups: their fields' test ids begin with `id`; each number with its help. */
 const NUMBERS = [
@@ -59,7 +60,17 @@ export function createFields(/** @type {Annotate} */ at) {
   const title = h("h2.ellipsis", "Box");
   const chip = h("span.chip", { "data-testid": "label-state" });
   const facts = h("dl.facts", { "data-testid": "label-facts" });
-  const problem = h("div.error-box", { role: "alert", hidden: true, "data-testid": "not-saved" });
+  const why = h("p");
+  const problem = h(
+    "div.error-box",
+    { role: "alert", hidden: true, "data-testid": "not-saved" },
+    why,
+    h(
+      "div.row",
+      button("Try again", () => void desk.retry(), { "data-testid": "draft-retry" }),
+      button("Discard", () => desk.revert(), { "data-testid": "draft-discard" }),
+    ),
+  );
   const attributes = h("fieldset.wide", { hidden: true, "data-testid": "attributes" });
   const form = h("form.box-fields", { "data-testid": "fields" });
   const advice = h("p", { "data-testid": "box-advice" });
@@ -68,37 +79,47 @@ export function createFields(/** @type {Annotate} */ at) {
 
   /** @param {typeof NUMBERS[number]} group */
   function numberField({ id, unit, step }, /** @type {string} */ name, /** @type {string} */ help) {
+    const title = `${name}: ${help}`;
+    inputs[name] = typedField(
+      { step, "aria-label": `${name} in ${unit}`, title, "data-testid": `field-${id}${name}` },
+      (value) =>
+        Number.isFinite(value) && desk.shown ? { box: withNumber(desk.shown.box, up(), name, value) } : null,
+    );
+    names[name] = h("span", name);
+    return h("label.number-field", names[name], inputs[name], h("span.unit", unit));
+  }
+
+  /**
+   * A number field. Typing changes the box on the screen; leaving the field or pressing Enter saves that as one edit.
+   *
+   * @param {Attributes} attributes
+   * @param {(value: number) => Partial<Wanted> | null} valuesOf what a number, NaN for an empty field, changes; null:
+   *     it is none.
+   */
+  function typedField(attributes, valuesOf) {
     /** @type {HTMLInputElement} */
     const input = h("input", {
       type: "number",
-      step,
-      "aria-label": `${name} in ${unit}`,
-      title: `${name}: ${help}`,
-      "data-testid": `field-${id}${name}`,
+      ...attributes,
       // a click selects the old number, so that typing replaces it
       onfocus: () => input.select(),
       oninput: () => {
         typed = input;
-        if (desk.shown && Number.isFinite(input.valueAsNumber))
-          desk.preview({ box: withNumber(desk.shown.box, up(), name, input.valueAsNumber) });
+        const values = valuesOf(input.valueAsNumber);
+        if (values) desk.preview(values);
       },
-      onchange: () => leave(input),
+      onchange: () => {
+        if (!valuesOf(input.valueAsNumber)) return abandon();
+        typed = null;
+        void desk.commit();
+      },
       onkeydown: (event) => {
         if (event.key !== "Escape") return;
         event.preventDefault();
         abandon();
       },
     });
-    inputs[name] = input;
-    names[name] = h("span", name);
-    return h("label.number-field", names[name], input, h("span.unit", unit));
-  }
-
-  // Typing changes the box on the screen; leaving the field or pressing Enter saves that as one edit.
-  function leave(/** @type {HTMLInputElement} */ input) {
-    if (!Number.isFinite(input.valueAsNumber)) return abandon();
-    typed = null;
-    void desk.commit();
+    return input;
   }
 
   /** Shows the box as it was before something was typed. */
@@ -117,29 +138,10 @@ export function createFields(/** @type {Annotate} */ at) {
       void desk.edit({ label: choice.value });
     },
   });
-  fill();
-  /** @type {HTMLInputElement} */
-  const track = h("input", {
-    type: "number",
-    step: 1,
-    min: 0,
-    placeholder: "none",
-    "aria-label": "Track id",
-    title: "The object's id in the recording",
-    "data-testid": "field-track",
-    onfocus: () => track.select(),
-    oninput: () => {
-      typed = track;
-      if (desk.shown)
-        desk.preview({
-          track_id: Number.isInteger(track.valueAsNumber) ? track.valueAsNumber : null,
-        });
-    },
-    onchange: () => {
-      typed = null;
-      void desk.commit();
-    },
-  });
+  const track = typedField(
+    { step: 1, min: 0, placeholder: "none", "aria-label": "Track id", title: ID, "data-testid": "field-track" },
+    (value) => ({ track_id: Number.isInteger(value) ? value : null }),
+  );
   /** @type {HTMLElement[]} */
   const ofBox = [
     h(
@@ -157,36 +159,11 @@ export function createFields(/** @type {Annotate} */ at) {
   form.addEventListener("submit", (event) => event.preventDefault());
   desk.onLeave(() => leaveField(form));
 
-  /** Offers the project's classes. */
-  function fill() {
-    const { value } = choice;
-    patch(
-      choice,
-      app.state.project.classes.map((name) => h("option", { value: name }, name)),
-    );
-    choice.value = value;
-  }
-
   /** Shows a number, but not in the field that is being typed in. */
   function put(/** @type {string} */ name, /** @type {number} */ value, /** @type {number} */ digits) {
     // -0.0 is 0
     const text = value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1");
     if (inputs[name] !== typed && inputs[name].value !== text) inputs[name].value = text;
-  }
-
-  function showProblem() {
-    const why = desk.problemOf();
-    problem.hidden = !why;
-    if (!why) return;
-    patch(
-      problem,
-      h("p", `Not saved. ${why}`),
-      h(
-        "div.row",
-        button("Try again", () => void desk.retry(), { "data-testid": "draft-retry" }),
-        button("Discard", () => desk.revert(), { "data-testid": "draft-discard" }),
-      ),
-    );
   }
 
   function show() {
@@ -197,7 +174,8 @@ export function createFields(/** @type {Annotate} */ at) {
     chip.hidden = !label;
     nothing.hidden = Boolean(label);
     title.textContent = label ? label.label : "Box";
-    showProblem();
+    problem.hidden = !desk.problemOf();
+    why.textContent = `Not saved. ${desk.problemOf()}`;
     // where something is drawn or dashed already, what to do with that comes first
     advice.textContent =
       at.teach.hint() ||
@@ -213,14 +191,17 @@ export function createFields(/** @type {Annotate} */ at) {
     const jump = jumpText(label);
     names.yaw.textContent = jump || "yaw";
     names.yaw.className = jump ? "bad" : "";
-    if (![...choice.options].some(({ value }) => value === label.label))
-      choice.append(h("option", { value: label.label }, label.label));
+    const classes = new Set([...app.state.project.classes, label.label]);
+    patch(
+      choice,
+      [...classes].map((name) => h("option", { value: name }, name)),
+    );
     choice.value = label.label;
     if (typed !== track) track.value = String(label.track_id ?? "");
     patch(facts, describe(label));
   }
 
-  return { show, fill, attributes };
+  return { show, attributes };
 }
 
 const percent = (/** @type {number | null | undefined} */ value) =>

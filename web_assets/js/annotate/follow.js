@@ -36,7 +36,8 @@ export function createFollow(/** @type {Annotate} */ at) {
    */
   let begun = null;
 
-  const stopEvents = [app.events.on("follow", (message) => take(message.run)), app.events.on("reconnected", load)];
+  app.events.on("follow", (message) => take(message.run), at.until);
+  app.events.on("reconnected", load, at.until);
 
   async function load() {
     const before = run;
@@ -143,9 +144,6 @@ export function createFollow(/** @type {Annotate} */ at) {
     /** Whether more boxes of a track are being found. */
     isFollowed: (/** @type {number} */ track) =>
       run?.state === "running" && run.direction !== "between" && run.tracks.some(({ track_id }) => track_id === track),
-    destroy() {
-      for (const off of stopEvents) off();
-    },
   };
 }
 

@@ -3,14 +3,12 @@
  * is drawn on the pseudo-views, and of those that are not finished, the box on the image is shown, too.
  */
 
-import { valuesText } from "../attributes.js";
-import { cameraOf } from "../camera.js";
 import { classColor, trackColor } from "../colors.js";
 import { button, h, patch } from "../dom.js";
 import { createEditor } from "../editor2d/editor.js";
 import { makeHash } from "../router.js";
 import { createLoader } from "../timeline/loader.js";
-import { imageOverlay, shortName } from "./drawing.js";
+import { imageOverlay } from "./drawing.js";
 
 /** A shorter drag draws no box, CSS pixels. */
 const LEAST_DRAG = 8;
@@ -50,6 +48,7 @@ export function createImagePanel(/** @type {Annotate} */ at) {
   let shownFrame = -1;
   const editor = createEditor(body, {
     label: "Camera image with the frame's boxes",
+    until: at.until,
     color: ({ label }) => classColor(app.state.project, label),
     canDraw: () => at.commands.canDraw() && !isFitting,
     leastDraw: LEAST_DRAG,
@@ -80,8 +79,6 @@ export function createImagePanel(/** @type {Annotate} */ at) {
     show();
   }
 
-  const colorOf = (/** @type {PageLabel} */ label) => (byTrack.checked ? { color: trackColor(label.track_id) } : {});
-
   function show() {
     const frame = app.state.frame;
     if (frame && !hasLoaded && !frame.frame.finalised && desk.labels().length === 0) loadDetectors();
@@ -94,34 +91,16 @@ export function createImagePanel(/** @type {Annotate} */ at) {
     }
     showCameras(frame);
     const { url, width, height } = frame.image;
-    const camera = cameraOf(frame.image);
     void editor.setPicture(url, width, height);
     hint.textContent = noteOf(frame);
-    const selected = desk.shown;
-    const all = desk.labels();
-    const others = all.filter(
-      (label) => label.uid !== selected?.uid && (withRejected.checked || label.state !== "rejected"),
-    );
-    const overlays = others.map((label) =>
-      imageOverlay(camera, label, {
-        name: shortName(label, all),
-        selected: false,
-        box: label.isNew || desk.isDraft(label.uid) ? desk.seen(label).box : null,
-        ...colorOf(label),
-      }),
-    );
-    if (selected) {
-      const values = valuesText(app, selected);
-      overlays.push(
-        imageOverlay(camera, selected, {
-          name: shortName(selected, all),
-          selected: true,
-          box: selected.box,
-          values,
-          ...colorOf(selected),
-        }),
-      );
-    }
+    const shown = desk.labels().filter(({ uid, state }) => {
+      return uid === desk.uid || withRejected.checked || state !== "rejected";
+    });
+    // the selected one over the others
+    shown.sort((a, b) => Number(a.uid === desk.uid) - Number(b.uid === desk.uid));
+    const overlays = shown.map((label) => {
+      return imageOverlay(at, label, byTrack.checked ? trackColor(desk.seen(label).track_id) : undefined);
+    });
     editor.setOverlays([...overlays, ...at.teach.overlays()]);
     if (shownFrame !== frame.frame.id) {
       shownFrame = frame.frame.id;
@@ -244,6 +223,5 @@ export function createImagePanel(/** @type {Annotate} */ at) {
     },
     body,
     editor,
-    destroy: () => editor.destroy(),
   };
 }

@@ -101,13 +101,8 @@ export function exchanged(
   return after ? plain.with(index, after) : plain.toSpliced(index, 1);
 }
 
-export function sameItem(/** @type {Item} */ a, /** @type {Item} */ b) {
-  return (
-    sameBox(a.image_box, b.image_box) &&
-    progressOf(a) === progressOf(b) &&
-    a.boxes.every((box, i) => sameBox(box, b.boxes[i]) || (!box && !b.boxes[i]))
-  );
-}
+export const sameItem = (/** @type {Item} */ a, /** @type {Item} */ b) =>
+  sameBox(a.image_box, b.image_box) && a.boxes.every((box, i) => sameBox(box, b.boxes[i]));
 
 /** Intersection over union of two boxes of the same class; 0 for different classes. */
 export function overlap(/** @type {Box2D} */ a, /** @type {Box2D} */ b) {

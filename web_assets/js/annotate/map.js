@@ -239,13 +239,14 @@ export function createMap(/** @type {Annotate} */ at) {
     let isEdited = false;
     return dragOrClick(start, {
       move(here, point) {
-        if (!box) view.panBy(point[0] - last[0], point[1] - last[1]);
-        else if (kind === "turn") desk.preview({ box: turned(box, plane.axes[2], angle(here) - angle(from)) });
+        if (!box) {
+          view.panBy(point[0] - last[0], point[1] - last[1]);
+          look();
+        } else if (kind === "turn") desk.preview({ box: turned(box, plane.axes[2], angle(here) - angle(from)) });
         else
           desk.preview({ box: { ...box, center: add(box.center, pointOf([here[0] - from[0], here[1] - from[1]])) } });
         isEdited = box !== null;
         last = point;
-        look();
       },
       finish: () => void (isEdited && desk.commit()),
       cancel: () => void (isEdited && desk.hasDraft && desk.revert()),
@@ -257,7 +258,7 @@ export function createMap(/** @type {Annotate} */ at) {
     });
   }
 
-  const pointers = listenToPointers({ root, size, view, redraw: look, hit, begin });
+  const pointers = listenToPointers({ root, size, view, until: at.until, redraw: look, hit, begin });
   // another box is selected: the drag was of the one before
   desk.onLeave(pointers.cancel);
   root.addEventListener("dblclick", (event) => {
@@ -271,6 +272,10 @@ export function createMap(/** @type {Annotate} */ at) {
     look();
   });
   watcher.observe(root);
+  at.until.addEventListener("abort", () => {
+    clearTimeout(timer);
+    watcher.disconnect();
+  });
 
   /** Shows the map in place of the 3D view, or this one again. */
   function turn(/** @type {boolean} */ on) {
@@ -300,11 +305,6 @@ export function createMap(/** @type {Annotate} */ at) {
     fit() {
       fit();
       look();
-    },
-    destroy() {
-      clearTimeout(timer);
-      pointers.stop();
-      watcher.disconnect();
     },
   };
 }

@@ -51,7 +51,7 @@ export function createOpening(app, { desk, queue, onLoading, onProblem }) {
     const own = openings;
     setLoading(true);
     try {
-      if (opened !== id && opened !== null && !isAtOnce && !(await app.mayLeave())) return false;
+      if (opened !== id && opened !== null && !isAtOnce && !(await app.mayLeave(id))) return false;
       if (!isAtOnce) await desk.flush();
       if (own !== openings) return null;
       // app.state may still have an old state from another mode

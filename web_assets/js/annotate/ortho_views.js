@@ -22,17 +22,14 @@ import { isAborted, messageOf } from "../errors.js";
 import { dot } from "../rotation.js";
 
 export const SIZE_PX = 320;
-const TITLES = { top: "Top", front: "Front", side: "Right side" };
-/** From where each view is seen; the heading's arrow shows it, too. */
-const SEEN = {
-  top: "Seen from above: the front is up, the left side on the left.",
-  front: "Seen from the front, against the heading: the left side is on the right.",
-  side: "Seen from its right: the front is on the right.",
+/** The title of each view, and from where it is seen, which the heading's arrow shows, too. */
+const VIEWS = {
+  top: ["Top", "Seen from above: the front is up, the left side on the left."],
+  front: ["Front", "Seen from the front, against the heading: the left side is on the right."],
+  side: ["Right side", "Seen from its right: the front is on the right."],
 };
-/** @typedef {keyof typeof TITLES} Name */
+/** @typedef {keyof typeof VIEWS} Name */
 
-/** @type {Name[]} */
-const NAMES = ["top", "front", "side"];
 /** A box whose axes differ from the view's by more than this is drawn as its 12 edges, not as a rectangle. */
 const ALIGNED = Math.cos((0.2 * Math.PI) / 180);
 
@@ -42,7 +39,7 @@ const FLAT = 0.7;
 export function createOrthoViews(/** @type {Annotate} */ at) {
   const { app, desk, preload } = at;
   const host = at.parts.ortho;
-  const panels = NAMES.map((name) => createPanel(name, desk));
+  const panels = /** @type {Name[]} */ (Object.keys(VIEWS)).map((name) => createPanel(name, at));
   const note = h("p.note", "A box is seen here from above, from the front and from its right.");
   host.append(...panels.map(({ root }) => root), note);
   /** @type {{ frame: number, box: Box3D } | null} */
@@ -91,6 +88,7 @@ export function createOrthoViews(/** @type {Annotate} */ at) {
     }
   }
 
+  at.until.addEventListener("abort", () => request?.abort());
   desk.onLeave(() => {
     for (const panel of panels) panel.leave();
   });
@@ -121,22 +119,18 @@ export function createOrthoViews(/** @type {Annotate} */ at) {
     fit() {
       for (const { editor } of panels) editor.fit();
     },
-
-    destroy() {
-      request?.abort();
-      for (const { editor } of panels) editor.destroy();
-    },
   };
 }
 
-function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
+function createPanel(/** @type {Name} */ name, /** @type {Annotate} */ { desk, until }) {
+  const [title, seen] = VIEWS[name];
   const note = h("p.view-note", { role: "alert", hidden: true });
   const body = h("div.view-body", note);
   const scale = h("span.muted.number");
   const root = h(
     "section.panel.ortho",
-    { "data-testid": `ortho-${name}`, "aria-label": `${TITLES[name]} view` },
-    h("header", h("h3", { title: SEEN[name] }, TITLES[name]), h("span.grow"), scale),
+    { "data-testid": `ortho-${name}`, "aria-label": `${title} view` },
+    h("header", h("h3", { title: seen }, title), h("span.grow"), scale),
     body,
   );
   /** @type {Api.OrthoView | null} */
@@ -147,8 +141,9 @@ function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
   const color = () => STATE_COLORS[desk.shown?.state ?? "proposed"];
 
   const editor = createEditor(body, {
-    label: `${TITLES[name]} view of the selected box`,
+    label: `${title} view of the selected box`,
     single: true,
+    until,
     canDraw: () => false,
     clip: false,
     color,

@@ -65,6 +65,7 @@ export function createScene(/** @type {Annotate} */ at) {
     sent = { scene: text, revision, at: performance.now() };
   }
 
+  at.until.addEventListener("abort", () => clearTimeout(timer));
   return {
     get gizmo() {
       return gizmo;
@@ -83,7 +84,5 @@ export function createScene(/** @type {Annotate} */ at) {
     preview() {
       if (!isDragging) send();
     },
-
-    destroy: () => clearTimeout(timer),
   };
 }

@@ -204,15 +204,18 @@ export function createBoxList(/** @type {Annotate} */ at) {
   let request = new AbortController();
   at.parts.boxes.replaceChildren(h("header", title), note, list);
 
+  at.until.addEventListener("abort", () => request.abort());
+
   function draw() {
     const labels = desk.labels();
     // once there, their places stay until another frame is shown
     const frame = app.state.frame?.frame.id ?? null;
-    if (labels.filter((label) => isOpen(label) && !label.isNew).length > 1) pictured = frame;
-    const hasPictures = pictured === frame;
+    if (labels.filter((label) => isPictured(label) && isOpen(label) && !label.isNew).length > 1) pictured = frame;
+    const picture = (/** @type {PageLabel} */ label) =>
+      pictured === frame && isPictured(label) ? (pictures.get(label.uid) ?? "") : null;
     patch(
       list,
-      labels.map((label) => boxRow(at, label, hasPictures ? (pictures.get(label.uid) ?? "") : null)),
+      labels.map((label) => boxRow(at, label, picture(label))),
       at.teach.unfinished.map((item) => unfinishedRow(item, at.teach)),
     );
   }
@@ -221,7 +224,7 @@ export function createBoxList(/** @type {Annotate} */ at) {
   async function readPictures() {
     const frame = app.state.frame?.frame;
     const key = frame ? `${frame.id}/${frame.revision}` : "";
-    if (!frame || key === known || desk.labels().filter(isOpen).length < 2) return;
+    if (!frame || key === known || desk.labels().filter(isPictured).filter(isOpen).length < 2) return;
     request.abort();
     request = new AbortController();
     if (known.split("/")[0] !== String(frame.id)) pictures = new Map();
@@ -241,7 +244,6 @@ export function createBoxList(/** @type {Annotate} */ at) {
       draw();
       void readPictures();
     },
-    destroy: () => request.abort(),
   };
 }
 
@@ -285,6 +287,9 @@ function boxRow({ app, desk, showBest }, label, picture) {
     ),
   );
 }
+
+/** Boxes that another camera of the rig sees better are reviewed there. */
+const isPictured = (/** @type {PageLabel} */ { better_in }) => better_in === null;
 
 const elsewhere = (/** @type {PageLabel} */ { better_in }) =>
   better_in === null ? "" : "another camera sees it better: a double click goes there";

@@ -19,7 +19,6 @@ import { createSaveProblem, createSaver } from "./saver.js";
 import { createWholeBoxes } from "./suggestions.js";
 import { createViewsPane, hintFor } from "./views_pane.js";
 
-const BUSY_WAIT_MS = 300;
 /** IoU above which a detected box and that of an object are the same object. */
 const SAME_OBJECT = 0.4;
 /** Problems that have been shown; each is shown only once. @type {Set<string>} */
@@ -34,12 +33,13 @@ export function createTeach(/** @type {Annotate} */ at) {
       show();
       if (isSaving) return;
       if (saver.problem) objects.onFailed();
-      else void refresh();
+      else void desk.refresh();
     },
   });
   /** @type {Partial<Work>} */
   const core = {
     app,
+    until: at.until,
     saver,
     items: [],
     draft: null,
@@ -70,6 +70,7 @@ export function createTeach(/** @type {Annotate} */ at) {
   parts.object.append(views.root);
   parts.problem.append(problem.root);
   views.root.hidden = true;
+  at.until.addEventListener("abort", close);
 
   // -- the frame's objects
 
@@ -117,15 +118,6 @@ export function createTeach(/** @type {Annotate} */ at) {
     if (current && isFinished(current)) desk.select(current.uid);
     else if (current && !work.items.includes(current)) follow();
     show();
-  }
-
-  /** Reads what others have saved, but not during a drag or while saving. */
-  async function refresh() {
-    if (!app.frames.isBehind || saver.isBusy || !parts.root.isConnected) return;
-    const isBusy = () =>
-      saver.isBusy || at.image.editor.isDragging || views.editors.some(({ isDragging }) => isDragging);
-    if (!isBusy()) await app.frames.refresh(() => !isBusy());
-    if (app.frames.isBehind) setTimeout(refresh, BUSY_WAIT_MS);
   }
 
   /** Shows the boxes that the image detector finds on a frame on which there is nothing to review. */
@@ -212,25 +204,22 @@ export function createTeach(/** @type {Annotate} */ at) {
     work.notSaved.some((item) => sameBox(item.image_box, image_box));
 
   /**
-   * Dashed boxes on the image: this page's unsaved boxes, and detected ones at places where there is nothing.
-   *
-   * @returns {Guess[]}
+   * Dashed boxes on the image, with their objects: this page's unsaved boxes, and detected ones at places where there is
+   * nothing.
    */
   function guesses() {
     if (work.isReadonly) return [];
-    const unsaved = work.notSaved.map((item) => ({ item, image_box: item.image_box, caption: "yours, not saved" }));
     const taken = [
       ...work.items.map(({ image_box }) => image_box),
       ...desk.labels().flatMap((label) => (label.state === "rejected" ? [] : (rectangle(label) ?? []))),
     ];
     const free = work.detections.filter((box) => !taken.some((known) => overlap(known, box) > SAME_OBJECT));
+    const guess = (/** @type {Item} */ item, /** @type {string} */ caption) => {
+      return { item, box: { ...item.image_box, suggested: true, caption } };
+    };
     return [
-      ...unsaved,
-      ...free.map((box) => ({
-        item: makeItem(box),
-        image_box: box,
-        caption: `${box.label} ${Math.round(100 * (box.score ?? 1))} %`,
-      })),
+      ...work.notSaved.map((item) => guess(item, "yours, not saved")),
+      ...free.map((box) => guess(makeItem(box), `${box.label} ${Math.round(100 * (box.score ?? 1))} %`)),
     ];
   }
 
@@ -240,11 +229,7 @@ export function createTeach(/** @type {Annotate} */ at) {
       item,
       box: { ...item.image_box, faint: item !== work.draft?.item, caption: item.image_box.label },
     }));
-    const dashed = guesses().map(({ item, image_box, caption }) => ({
-      item,
-      box: { ...image_box, suggested: true, caption },
-    }));
-    return { list: [...boxes, ...dashed], selected: boxes.findIndex(({ item }) => item === work.selected) };
+    return { list: [...boxes, ...guesses()], selected: boxes.findIndex(({ item }) => item === work.selected) };
   }
 
   /** The 3D box so far, or the whole box that is offered. @returns {Overlay[]} */
@@ -267,12 +252,7 @@ export function createTeach(/** @type {Annotate} */ at) {
       const isEmpty = desk.labels().length === 0 && guesses().length > 0;
       return isEmpty ? "Click a dashed box to get its 3D box. Or drag one around another object." : "";
     }
-    return hintFor({
-      draft: work.draft,
-      isReadonly: work.isReadonly,
-      notSaved: work.notSaved.length,
-      isWholeOffered: Boolean(whole.offered()),
-    });
+    return hintFor(work);
   }
 
   // -- what the operator does
@@ -430,10 +410,6 @@ export function createTeach(/** @type {Annotate} */ at) {
       const text =
         `Not saved: ${count(saver.waiting, "change")} of this frame. ${saver.problem?.message ?? ""}`.trim();
       return { text, retry: saver.retry, discard };
-    },
-    destroy() {
-      close();
-      views.destroy();
     },
   };
 }

@@ -9,6 +9,7 @@ import { trackColor } from "../colors.js";
 import { button, count, h } from "../dom.js";
 import { messageOf } from "../errors.js";
 import { checkbox, field, select } from "../forms.js";
+import { makeHash } from "../router.js";
 import { currentFrame } from "../frame_state.js";
 
 /** A copy with fewer points inside stands on nothing. */
@@ -126,19 +127,17 @@ export function createTracks(/** @type {Annotate} */ at) {
   }
 
   /** Goes to the next (by = 1) or previous (by = -1) frame with the same object. */
-  async function step(/** @type {number} */ by) {
+  function step(/** @type {number} */ by) {
     const label = desk.stored();
     if (!label) return;
     if (label.track_id === null)
       return app.toast("This box has no track yet. Type a number in its field Track.", "warn");
-    const index = currentFrame(app).frame.index ?? 0;
-    const boxes = await app.api.get(path(label.track_id));
-    const others = boxes.filter(
-      (box) => box.index !== null && box.state !== "rejected" && (by > 0 ? box.index > index : box.index < index),
-    );
-    const next = by > 0 ? others[0] : others[others.length - 1];
-    if (next) await opening.go({ frame: next.frame, uid: next.uid });
-    else app.toast(by > 0 ? "No later frame has this object." : "No earlier frame has this object.");
+    const { id } = currentFrame(app).frame;
+    const { from, to } = besides(app.state.timeline, label.track_id, id);
+    const target = by > 0 ? to : from;
+    if (target === id)
+      return app.toast(by > 0 ? "No later frame has this object." : "No earlier frame has this object.");
+    app.go(makeHash(app.state.project.name, "annotate", target, { track: String(label.track_id) }));
   }
 
   /** Copies the selected box to the next frame, and goes there. */

@@ -58,6 +58,7 @@ export function createViewsPane(/** @type {Work} */ work) {
     const editor = createEditor(host, {
       label: `${name} view`,
       single: true,
+      until: work.until,
       color: ({ label }) => classColor(work.app.state.project, label),
       newLabel: () => work.draft?.item.image_box.label ?? "",
       onChange(boxes, why, changed, actions) {
@@ -100,9 +101,6 @@ export function createViewsPane(/** @type {Work} */ work) {
     root,
     show,
     editors,
-    destroy() {
-      for (const editor of editors) editor.destroy();
-    },
   };
 }
 
@@ -110,13 +108,12 @@ export function createViewsPane(/** @type {Work} */ work) {
 
 const SIDES = ["front", "side"];
 
-/** @param {{draft: Draft | null, isReadonly: boolean, notSaved: number, isWholeOffered: boolean}} situation */
-export function hintFor({ draft, isReadonly, notSaved, isWholeOffered }) {
+export function hintFor(/** @type {Work} */ { draft, isReadonly, notSaved, whole }) {
   if (isReadonly) return "This frame is finalised. Reopen it to change something.";
-  if (notSaved) return "Click the dashed box marked 'yours, not saved' to save it.";
+  if (notSaved.length) return "Click the dashed box marked 'yours, not saved' to save it.";
   if (!draft) return "Select a box, or draw one around an object on the image.";
   const name = draft.item.image_box.label;
-  if (isWholeOffered) {
+  if (whole.offered()) {
     const others = (draft.whole?.boxes.length ?? 0) > 1 ? ", W shows another one" : "";
     return `The ${name} is finished. Space takes the dashed box as the whole ${name}${others}.`;
   }

@@ -56,15 +56,10 @@ export function mount(root, app, until) {
   }
 
   function nothingWrong(/** @type {number} */ labels) {
-    const href = (/** @type {string} */ mode) => makeHash(app.state.route.project, mode);
-    const said = labels
-      ? nothing(
-          "Nothing looks wrong",
-          "Sizes, points, headings and overlaps were checked.",
-          href("export"),
-          "Export the boxes",
-        )
-      : nothing("No boxes yet", "Draw some, or let the detectors propose them.", href("annotate"), "Annotate");
+    const [title, text, mode, action] = labels
+      ? ["Nothing looks wrong", "Sizes, points, headings and overlaps were checked.", "export", "Export the boxes"]
+      : ["No boxes yet", "Draw some, or let the detectors propose them.", "annotate", "Annotate"];
+    const said = nothing(title, text, makeHash(app.state.route.project, mode), action);
     said.classList.add("panel");
     said.dataset.testid = "no-warnings";
     return said;

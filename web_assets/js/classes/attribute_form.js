@@ -3,7 +3,7 @@
 import { nameOf } from "../attributes.js";
 import { CANCEL, openDialog } from "../dialogs.js";
 import { h } from "../dom.js";
-import { checkbox, field, group, select, ticked } from "../forms.js";
+import { checkbox, field, group, partsOf, select, ticked } from "../forms.js";
 
 /** @type {[Attribute["kind"], string][]} */
 const KINDS = [
@@ -20,27 +20,6 @@ const OWNERS = [
   ["track", "Each object: the same value in all its frames"],
   ["frame", "Each frame"],
 ];
-
-/** An attribute in words, such as "whole number 0 to 3, of each track, required, key O". */
-export function describe(
-  /** @type {Attribute} */ { kind, of, choices, minimum, maximum, classes, required, default: usual, key },
-) {
-  const range = [minimum === undefined ? "" : `from ${minimum}`, maximum === undefined ? "" : `to ${maximum}`];
-  const values =
-    kind === "choice"
-      ? `one of ${(choices ?? []).join(", ")}`
-      : KINDS.find(([name]) => name === kind)?.[1].toLowerCase();
-  return [
-    [values, ...range].filter(Boolean).join(" "),
-    `of each ${of ?? "box"}`,
-    classes?.length ? `only ${classes.join(", ")}` : "",
-    required ? "required" : "",
-    usual === undefined ? "" : `default ${textOf(usual)}`,
-    key ? `Alt+${key.toUpperCase()}` : "",
-  ]
-    .filter(Boolean)
-    .join(", ");
-}
 
 const textOf = (/** @type {string | number | boolean | undefined} */ value) => nameOf(value ?? "");
 
@@ -100,7 +79,7 @@ export function attributeForm({ attribute, classes, attributes, change }) {
       name: name.value.trim(),
       kind: kind.value,
       of: of.value,
-      choices: lines(ofChoices.hidden ? "" : choices.value),
+      choices: partsOf(ofChoices.hidden ? "" : choices.value, "\n"),
       minimum: limits.hidden ? undefined : readValue("number", least.value),
       maximum: limits.hidden ? undefined : readValue("number", most.value),
       classes: ofClasses.hidden ? [] : ticked(boxes),
@@ -142,9 +121,3 @@ export function attributeForm({ attribute, classes, attributes, change }) {
     },
   });
 }
-
-const lines = (/** @type {string} */ text) =>
-  text
-    .split("\n")
-    .map((line) => line.trim())
-    .filter(Boolean);

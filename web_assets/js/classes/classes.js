@@ -5,7 +5,7 @@ import { classColor } from "../colors.js";
 import { CANCEL, confirm, openDialog } from "../dialogs.js";
 import { button, count, h, iconButton, patch } from "../dom.js";
 import { errorBox, field, onEnter, select, showProblem } from "../forms.js";
-import { attributeForm, describe } from "./attribute_form.js";
+import { attributeForm } from "./attribute_form.js";
 
 const UNDO = "Undo (Ctrl+Z) takes it back.";
 
@@ -116,7 +116,7 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
       colour ? iconButton("close", `Default colour for ${label}`, () => style({ colour: null })) : h("span"),
       h("strong.ellipsis", { title: label }, label),
       h("label.row.muted", "Alt", typed),
-      h("span.muted.number", { "data-testid": "class-counts" }, boxesOf(row)),
+      h("span.muted.number", { "data-testid": "class-counts" }, row.boxes),
       h("span.row", [
         movers(label, names, (order) => put({ do: "order", names: order })),
         button("Rename", () => rename(row)),
@@ -131,7 +131,7 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
     const all = schema().map((each) => each.name);
     const values = listed.values[name] ?? 0;
     return h("div.attribute-row", { "data-testid": "attribute-row", "data-name": name, "data-key": name }, [
-      h("span.grow", h("strong", name), ` ${describe(attribute)}`),
+      h("span.grow", h("strong", name), ` ${listed.words[name]}`),
       h("span.muted.number", count(values, "value")),
       h("span.row", [
         movers(name, all, (order) => put({ do: "order_attributes", names: order })),
@@ -170,7 +170,7 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
       "data-testid": "ask-part",
       onchange: () => Object.assign(input, { value: part.value || old }),
     });
-    const follows = isClass ? `${boxesOf(what)}, and what detectors find` : count(what.values, "value");
+    const follows = isClass ? `${what.boxes}, and what detectors find` : count(what.values, "value");
     const content = [
       choices.length > 0 && field("What", part),
       field("New name", input),
@@ -190,7 +190,7 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
     const into = select(others, { "data-testid": "ask-into" });
     const content = [
       field("Give its boxes to", into),
-      h("p", `The other class gets ${boxesOf(row)}, and ${row.name} is removed.`),
+      h("p", `The other class gets ${row.boxes}, and ${row.name} is removed.`),
       h("p.help", UNDO),
     ];
     return ask(`Merge ${row.name}`, content, "Merge", () => ({ do: "merge", names: [row.name], into: into.value }));
@@ -200,9 +200,9 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
   async function removeClass(/** @type {Api.ClassRow} */ row) {
     const isUsed = row.labels + row.boxes_2d + row.said > 0;
     const text = isUsed
-      ? `Deletes ${boxesOf(row)}, too. "Merge" gives them to another class instead.`
+      ? `Deletes ${row.boxes}, too. "Merge" gives them to another class instead.`
       : "No box is of this class.";
-    const label = isUsed ? `Remove it with ${boxesOf(row)}` : "Remove";
+    const label = isUsed ? `Remove it with ${row.boxes}` : "Remove";
     if (await confirm(`Remove ${row.name}`, `${text} ${UNDO}`, label, "danger"))
       await put({ do: "remove", name: row.name, with_boxes: isUsed });
   }
@@ -246,13 +246,3 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
 }
 
 const fieldOf = (/** @type {Event} */ { currentTarget }) => /** @type {HTMLInputElement} */ (currentTarget);
-
-/** The boxes of a class in words. */
-function boxesOf(/** @type {Api.ClassRow} */ { labels, boxes_2d, said }) {
-  const known = [
-    labels && count(labels, "3D label"),
-    boxes_2d && count(boxes_2d, "2D box"),
-    said && count(said, "further 3D box of a source", "further 3D boxes of sources"),
-  ];
-  return known.filter(Boolean).join(" and ") || "no boxes";
-}

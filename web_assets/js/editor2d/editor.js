@@ -45,12 +45,11 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
   const picture = { width: 0, height: 0 };
   const size = { width: 0, height: 0, border: 0 };
   const view = createView(picture, size);
-  /** What comes late, as an answer of the server, is not drawn. */
-  let isOver = false;
 
   function draw() {
     drawn = 0;
-    if (isOver) return;
+    // what comes late, as an answer of the server, is not drawn
+    if (options.until.aborted) return;
     image.style.width = `${picture.width}px`;
     image.style.height = `${picture.height}px`;
     image.style.transform = `translate(${view.offset[0]}px, ${view.offset[1]}px) scale(${view.scale})`;
@@ -205,18 +204,10 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
     get isDragging() {
       return pointers.isBusy() || nudged.actions > 0;
     },
-    destroy() {
-      editor.flush();
-      pointers.stop();
-      watcher.disconnect();
-      cancelAnimationFrame(drawn);
-      isOver = true;
-      root.remove();
-    },
   };
 
   const pointers = listenToPointers({
-    ...{ root, size, view },
+    ...{ root, size, view, until: options.until },
     ...{ redraw: editor.redraw, flush: editor.flush, setCross: editor.setCross, onEnd: options.onEnd },
     hit: (px, event) => hitTest(editor, px, event.pointerType, event.shiftKey),
     begin: (hit, px, point) => beginGesture(editor, hit, px, point),
@@ -242,5 +233,10 @@ export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorO
   });
   host.append(root);
   watcher.observe(root);
+  options.until.addEventListener("abort", () => {
+    editor.flush();
+    watcher.disconnect();
+    cancelAnimationFrame(drawn);
+  });
   return editor;
 }

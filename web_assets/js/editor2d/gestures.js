@@ -94,8 +94,8 @@ export function beginGesture(
   /** @type {Record<Hit["kind"], (editor: Editor, hit: Hit, px: Point) => Drag>} */
   const makers = {
     draw: beginDraw,
-    move: beginMove,
-    resize: beginResize,
+    move: beginChange,
+    resize: beginChange,
     turn: beginTurn,
     slide: beginSlide,
     nothing: () => ({ move() {}, finish() {} }),
@@ -174,26 +174,22 @@ function beginDraw(/** @type {Editor} */ editor, /** @type {Hit} */ _hit, /** @t
   };
 }
 
-/** @returns {Drag} */
-function beginMove(/** @type {Editor} */ editor, /** @type {Hit} */ { index }, /** @type {Point} */ start) {
-  const box = editor.boxes[index];
-  return {
-    move: ([x, y]) => editor.put(index, moved(box, x - start[0], y - start[1], editor.limits())),
-    finish: () => editor.commit("move", index),
-  };
-}
-
-/** @returns {Drag} */
-function beginResize(
+/** Moves a box, or its edges on one side. @returns {Drag} */
+function beginChange(
   /** @type {Editor} */ editor,
-  /** @type {Hit} */ { index, sideX = 0, sideY = 0 },
+  /** @type {Hit} */ { kind, index, sideX = 0, sideY = 0 },
   /** @type {Point} */ start,
 ) {
   const box = editor.boxes[index];
+  const why = kind === "move" ? "move" : "resize";
   editor.select(index);
   return {
-    move: ([x, y]) => editor.put(index, resized(box, sideX, sideY, x - start[0], y - start[1], editor.limits())),
-    finish: () => editor.commit("resize", index),
+    move([x, y]) {
+      const [dx, dy, limits] = [x - start[0], y - start[1], editor.limits()];
+      const changed = why === "move" ? moved(box, dx, dy, limits) : resized(box, sideX, sideY, dx, dy, limits);
+      editor.put(index, changed);
+    },
+    finish: () => editor.commit(why, index),
   };
 }
 

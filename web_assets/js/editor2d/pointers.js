@@ -5,7 +5,7 @@
 import { cursorOf } from "./gestures.js";
 
 export function listenToPointers(/** @type {PointerHost} */ host) {
-  const { root, view, size } = host;
+  const { root, view, size, until: signal } = host;
   /** @type {Map<number, Point>} */
   const touches = new Map();
   /** @type {Gesture | null} */
@@ -147,8 +147,6 @@ export function listenToPointers(/** @type {PointerHost} */ host) {
     isSpaceDown = event.type === "keydown" && root.matches(":hover");
     if (root.matches(":hover") && root.contains(document.activeElement)) event.preventDefault();
   };
-  const own = new AbortController();
-  const { signal } = own;
   root.addEventListener("pointerdown", onDown, { signal });
   root.addEventListener("pointermove", onMove, { signal });
   root.addEventListener("pointerup", onUp, { signal });
@@ -166,7 +164,6 @@ export function listenToPointers(/** @type {PointerHost} */ host) {
     windowPoint,
     cancel,
     isBusy: () => gesture !== null,
-    stop: () => own.abort(),
   };
 }
 

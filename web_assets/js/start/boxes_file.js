@@ -1,10 +1,12 @@
-/** The dialog that imports boxes from a file: 2D boxes, from which 3D boxes are then proposed, or 3D boxes. */
+/**
+ * The dialog that imports boxes from a file: 2D boxes, from which 3D boxes are then proposed, or 3D boxes; and what becomes
+ * of their classes that a project does not have: one of its own, a new one, or nothing.
+ */
 
 import { newest, projectPath, withQuery } from "../api.js";
 import { CANCEL, openDialog } from "../dialogs.js";
 import { count, h } from "../dom.js";
 import { checkbox, errorBox, field, select } from "../forms.js";
-import { createClassChoice } from "./class_choice.js";
 
 /** The server's limit. */
 const MOST_BYTES = 64 * 2 ** 20;
@@ -32,14 +34,11 @@ export const measuredBy = (/** @type {Api.ProjectInfo} */ { detectors }) =>
  */
 export async function importBoxes(app, name) {
   const project = await app.api.get(projectPath(name));
-  /** @type {Api.BoxesFile | null} */
+  /** Undefined while a file is read. @type {Api.BoxesFile | null | undefined} */
   let sent = null;
   /** The answer to the file that was sent last. @type {Promise<Api.BoxesFile | null>} */
   let upload = Promise.resolve(null);
   const begin = newest();
-  /** Id of the file whose name is offered as the source. */
-  let latest = "";
-  let isReading = false;
   const classes = createClassChoice(app, project, false);
 
   const file = h("input", {
@@ -84,7 +83,9 @@ export async function importBoxes(app, name) {
     if (!chosen) return null;
     if (chosen.size > MOST_BYTES)
       throw new Error("The file has more than 64 MiB, the most that a page may send. Divide it.");
-    return app.api.post(withQuery(projectPath(name, "boxes-files"), { name: chosen.name }), chosen);
+    const found = await app.api.post(withQuery(projectPath(name, "boxes-files"), { name: chosen.name }), chosen);
+    source.value = found.source;
+    return found;
   }
 
   /** The file, matched with the chosen recording. */
@@ -96,21 +97,18 @@ export async function importBoxes(app, name) {
 
   async function show() {
     const isNewest = begin();
-    sent = null;
-    isReading = true;
+    sent = undefined;
     about.replaceChildren("Reading …");
     try {
       const answer = await look();
       if (!isNewest()) return;
-      if (answer && answer.id !== latest) source.value = answer.source;
-      latest = answer?.id ?? latest;
       sent = answer;
       about.replaceChildren(...(sent ? described(sent) : []));
     } catch (error) {
       if (!isNewest()) return;
+      sent = null;
       about.replaceChildren(errorBox(error));
     }
-    isReading = false;
     classes.show(sent?.boxes ?? {});
     showKind();
   }
@@ -118,8 +116,8 @@ export async function importBoxes(app, name) {
   /** Shows what can be chosen for 2D boxes, or for 3D boxes. */
   function showKind() {
     const is3d = sent?.is_3d ?? false;
-    ofAttributes.hidden = sent === null;
-    of2d.hidden = sent === null || is3d;
+    ofAttributes.hidden = !sent;
+    of2d.hidden = !sent || is3d;
     of3d.hidden = !is3d;
     ofProposals.hidden = become.value !== "proposals";
     const scores = sent?.scores ?? null;
@@ -130,7 +128,7 @@ export async function importBoxes(app, name) {
   }
 
   async function start() {
-    if (isReading) throw new Error("The file was still being read. Check what it has, then import it.");
+    if (sent === undefined) throw new Error("The file was still being read. Check what it has, then import it.");
     if (!sent) throw new Error("Choose a file with boxes first.");
     if (sent.ambiguous) throw new Error("Choose the recording of the boxes: several have frames of these names.");
     const names = await classes.take();
@@ -186,4 +184,91 @@ function described(/** @type {Api.BoxesFile} */ { name, found, notes, ambiguous,
     ...notes.map((note) => h("p", { "data-testid": "boxes-note" }, note)),
     ...(ambiguous ? [errorBox(`${things} could be of several recordings. Choose the recording below.`)] : []),
   ];
+}
+
+// -- the classes
+
+/** Values of a choice beside the project's classes; these have at least one character. */
+const LEAVE_OUT = "";
+const ADD = "\n";
+
+/** What spellings of a class differ in is left out: case, spaces, `-` and `_`. */
+const folded = (/** @type {string} */ name) => name.toLowerCase().replace(/[ _-]/g, "");
+
+/**
+ * The choices for the classes of boxes; those that the project has by the same name need none.
+ *
+ * @param {App} app
+ * @param {Api.ProjectInfo} project
+ * @param {boolean} areAdded whether a class is added, if nothing else is chosen.
+ */
+export function createClassChoice(app, { name, classes }, areAdded) {
+  /** @type {Map<string, HTMLSelectElement>} */
+  const choices = new Map();
+  /** @type {string[]} */
+  let labels = [];
+  const root = h("fieldset.choices", { hidden: true, "data-testid": "boxes-classes" });
+
+  function choice(/** @type {string} */ label) {
+    const known = classes.map((each) => [each, `are ${each}`]);
+    const alike = classes.find((each) => folded(each) === folded(label));
+    return select(
+      [[LEAVE_OUT, "leave out"], ...known, [ADD, `add the class ${label}`]],
+      { "aria-label": `Class for ${label}`, "data-testid": `boxes-class-${label}` },
+      alike ?? (areAdded ? ADD : LEAVE_OUT),
+    );
+  }
+
+  return {
+    root,
+    /** Asks about the classes of some boxes, with the number of each. */
+    show(/** @type {Record<string, number>} */ boxes) {
+      labels = Object.keys(boxes);
+      const unknown = labels.filter((label) => !classes.includes(label));
+      root.hidden = unknown.length === 0;
+      for (const label of unknown) if (!choices.has(label)) choices.set(label, choice(label));
+      root.replaceChildren(
+        h("legend.field-label", "Classes that the project does not have"),
+        ...unknown.map((label) =>
+          h("label.row", h("span.grow.ellipsis", `${label} (${count(boxes[label], "box")})`), choices.get(label)),
+        ),
+      );
+    },
+    /** Adds classes as chosen. Returns the project's class of each other name; "" leaves its boxes out. */
+    async take() {
+      const values = labels.map((label) => /** @type {const} */ ([label, choices.get(label)?.value ?? label]));
+      if (labels.length && values.every(([, value]) => value === LEAVE_OUT))
+        throw new Error("All classes are left out. Choose one of the project's.");
+      const wanted = values.flatMap(([label, value]) => (value === ADD ? [label] : []));
+      if (wanted.length) {
+        // an earlier try may have added some
+        const present = await app.api.get(projectPath(name));
+        const added = wanted.filter((label) => !present.classes.includes(label));
+        if (added.length) await app.api.patch(projectPath(name), { classes: [...present.classes, ...added] });
+      }
+      const named = values.map(([label, value]) => [label, value === ADD ? label : value]);
+      return Object.fromEntries(named.filter(([label, value]) => label !== value || wanted.includes(label)));
+    },
+  };
+}
+
+/**
+ * Asks about the classes that an import of recorded boxes left out. Returns the job that imports these boxes, or null.
+ *
+ * @returns {Promise<Api.Job | null>}
+ */
+export async function importLeftOut(/** @type {App} */ app, /** @type {Api.Job} */ { project, result }) {
+  const { unknown, recordings } = /** @type {ImportResult} */ (result);
+  const choice = createClassChoice(app, await app.api.get(projectPath(project)), true);
+  choice.show(unknown);
+  return openDialog({
+    title: "Classes of the boxes that were left out",
+    testid: "left-out-dialog",
+    content: [choice.root],
+    actions: [CANCEL, { label: "Import", value: "import" }],
+    async submit() {
+      const names = await choice.take();
+      return app.api.post(projectPath(project, "jobs"), { kind: "import", recordings, names });
+    },
+  });
 }

@@ -3,7 +3,7 @@
 import { projectPath } from "../api.js";
 import { CANCEL, confirm, openDialog } from "../dialogs.js";
 import { button, count, dateOf, glyph, h } from "../dom.js";
-import { checkbox, field } from "../forms.js";
+import { checkbox, field, partsOf } from "../forms.js";
 
 import { manageRecordings } from "./recordings.js";
 
@@ -157,10 +157,7 @@ export function createProject(/** @type {App} */ app) {
     ],
     actions: [CANCEL, { label: "Create", value: "create" }],
     async submit(_, form) {
-      const labels = classes.value
-        .split(",")
-        .map((text) => text.trim())
-        .filter(Boolean);
+      const labels = partsOf(classes.value, ",");
       if (!name.value.trim()) throw new Error("Please give the project a name.");
       if (!labels.length) throw new Error("Please name at least one class: the kind of object that you label.");
       const chosen = new FormData(form).get("rotation");

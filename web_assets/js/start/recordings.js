@@ -231,14 +231,8 @@ function createFolders(app, { text, testid, onPick }) {
     placeholder: "or type a path, then Enter",
     "aria-label": "Path of a folder or recording on the server",
     "data-testid": "folder-path",
-    onkeydown: onEnter(() =>
-      show(
-        typed.value
-          .trim()
-          .replace(/^["']|["']$/g, "")
-          .replace(/(.)\/$/, "$1"),
-      ),
-    ),
+    // as a terminal copies it: with quotes around it, or a slash at its end
+    onkeydown: onEnter(() => show(typed.value.trim().replace(/^["']|(?<=.)\/?["']?$/g, ""))),
   });
   const list = h("ul.folders", { "data-testid": "folders", tabindex: -1 });
   const begin = newest();
@@ -259,7 +253,7 @@ function createFolders(app, { text, testid, onPick }) {
         ...parts.flatMap((part, i) => [h("span.muted", "/"), crumb(part, parts.slice(0, i + 1).join("/"))]),
       );
       const all = here ? [{ ...here, is_folder: false }, ...entries] : entries;
-      list.replaceChildren(...all.map(row), ...explained(answer, all.length > 0));
+      list.replaceChildren(...all.map(row), ...explained(answer));
       if (document.activeElement !== typed) list.focus();
     } catch (error) {
       if (isNewest()) list.replaceChildren(h("li.error-box", { role: "alert" }, messageOf(error)));
@@ -286,12 +280,9 @@ function createFolders(app, { text, testid, onPick }) {
 }
 
 /** What is not listed, and what to look for where there is no recording. */
-function explained(/** @type {Api.FolderListing} */ { path, notes, kinds }, /** @type {boolean} */ hasAny) {
-  const lines = notes.map((text) => `${text[0].toUpperCase()}${text.slice(1)}.`);
-  if (!hasAny && !notes.length)
-    lines.push(path ? "This folder is empty." : "This server offers no folder. Whoever runs it can offer some.");
-  const about = h("details", { open: !hasAny }, h("summary", "What a recording must have"), bullets(kinds));
-  const texts = lines.map((text) => h("p", text));
-  if (!texts.length && !kinds.length) return [];
+function explained(/** @type {Api.FolderListing} */ { entries, notes, kinds }) {
+  if (!notes.length && !kinds.length) return [];
+  const texts = notes.map((text) => h("p", `${text[0].toUpperCase()}${text.slice(1)}.`));
+  const about = h("details", { open: !entries.length }, h("summary", "What a recording must have"), bullets(kinds));
   return [h("li.help", { "data-testid": "folder-notes" }, texts, kinds.length > 0 && about)];
 }
