@@ -357,7 +357,10 @@ def test_a_page_shows_the_labels_of_its_moment_and_who_sees_them_best_and_hears_
         answer = rig_live.client.get("/api/projects/room/frames/4", params={"best_for": uid})
         assert answer.json()["frame"]["id"] == best
         tracks = rig_live.client.get("/api/projects/room/recordings/2/tracks").json()
-        assert (tracks["frames"], tracks["lanes"]) == ([2], [{"track_id": 3, "spans": [[0, 0, "car", 0]]}])
+        assert (tracks["frames"], tracks["lanes"]) == (
+            [2],
+            [{"track_id": 3, "spans": [[0, 0, "car", 0]], "still": False}],
+        )
         assert state(rig_live.client, 2)["frame"]["cameras"] == {"1": 1, "2": 2, "3": 3, "4": 4}
         assert {each["rig_id"] for each in rig_live.client.get("/api/projects/room/recordings").json()} == {1}
         assert change(rig_live.client, 1, {"kind": "reject", "uid": uid}, frame=2).status_code == 200
