@@ -33,7 +33,8 @@ WIDTH_PX, FARTHEST_M = 640, 8.0
 ITERATIONS, DEPTH_APART_M = (10, 7, 5), 0.07
 # A frame is registered again until that moves it by less than this; once is enough if its speed was guessed so well.
 ROUNDS, SETTLED_M, GUESSED_M = 6, 1e-3, 1e-2
-# A frame becomes the key frame if it sees less of the last one (share of what others saw), has moved or turned so far.
+# A frame becomes the key frame if it sees less of the last one, share of what others saw, or has moved or turned by so
+# much.
 KEY_OVERLAP, KEY_MOVED_M, KEY_TURNED_RAD = 0.92, 0.2, 0.2
 # Pixels whose brightness differs so much from their neighbours' hold a frame; of 255.
 EDGE, NORMAL_POINTS, NEIGHBOURS = 12.0, 3000, 12
@@ -47,9 +48,10 @@ OWN = 0.15
 COARSE, FINE, REACHES, TOLERANCE, MAP_STEP = 1.5, 0.5, (12.0, 3.0, 1.2), 0.4, 2.0
 MAP_SCANS, SCAN_ITERATIONS = 20, 30
 
-# A frame is trusted from these on. Of generated drives and tours, also at an eighth of their frames, those that were
+# A frame is trusted from these on. Of generated drives and tours, also with an eighth of their frames, those that were
 # well registered had at least 0.557 and 0.089; the others at most 0.559, or a grip of at most 0.034.
 LEAST_OVERLAP, LEAST_GRIP = 0.57, 0.05
+LEAST_POINTS = 100
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ class Odometry:
         self._poses = deque[Matrix](maxlen=2)
 
     def add(self, frame: Frame) -> Placed:
-        """Places a frame; the first one is where the world begins."""
+        """Places a frame; the first one is where the world begins. None of them may be empty."""
         seen = self._way.seen(frame)
         if not self._poses:
             self._poses.append(np.eye(4))
@@ -146,9 +148,12 @@ class DepthImages:
         settled_m = GUESSED_M if is_steady else SETTLED_M
         for _ in range(ROUNDS):
             start = o3d.core.Tensor(T)
-            found = of.rgbd_odometry_multi_scale(
-                seen.image, self._key.image, seen.intrinsics, start, 1.0, FARTHEST_M, limits, of.Method.Hybrid, loss
-            )
+            try:
+                found = of.rgbd_odometry_multi_scale(
+                    seen.image, self._key.image, seen.intrinsics, start, 1.0, FARTHEST_M, limits, of.Method.Hybrid, loss
+                )
+            except RuntimeError:  # nothing tells how to move it
+                return Found(guess, 0.0, 0.0, seen.grip)
             moved_m, T = np.linalg.norm(found.transformation.numpy()[:3, 3] - T[:3, 3]), found.transformation.numpy()
             if moved_m < settled_m:
                 break

@@ -542,7 +542,7 @@ def require_nothing_still(connection: Connection, recording_id: int) -> None:
     if tracks:
         raise HistoryError(
             f"{amount(len(tracks), 'track')} of it stand still in this world: {first_few(list(map(str, tracks)), 5)}; "
-            "first say that they move, `annotator tracks moving`"
+            "first say that they move (`annotator tracks moving`), or undo what has made them"
         )
 
 

@@ -122,7 +122,10 @@ def read_raw_calibration(cameras: Path, lidar: Path) -> KittiCalibration:
     rows, imu = _read_rows(cameras), lidar.with_name(IMU)
     P2 = _matrix(cameras, rows, ("P_rect_02",), (3, 4))
     R0 = _matrix(cameras, rows, ("R_rect_00",), (3, 3))
-    return _calibration(cameras, lidar, P2, R0, _rigid_rows(lidar), _rigid_rows(imu) if imu.is_file() else None)
+    T_lidar_imu = None
+    with suppress(FrameError):  # it only says where the GPS unit is
+        T_lidar_imu = _rigid_rows(imu) if imu.is_file() else None
+    return _calibration(cameras, lidar, P2, R0, _rigid_rows(lidar), T_lidar_imu)
 
 
 def _rigid_rows(path: Path) -> Float64[np.ndarray, "3 4"]:

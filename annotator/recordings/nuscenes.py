@@ -298,19 +298,24 @@ class NuScenes(Scanned, RigCamera, Scenes):
             np.zeros(3),
             T_global_lidar.inv(),
             timestamp_ns=scan.time_us * 1000,
-            T_world_scan=T_global_lidar if _knows_world(scan) else None,
+            T_world_scan=T_global_lidar if self._knows_world else None,
         )
 
     @property
     def pose_source(self) -> str | None:
-        return "ego_pose.json" if any(_knows_world(image) for image, _ in self.moments) else None
+        return "ego_pose.json" if self._knows_world else None
+
+    @cached_property
+    def _knows_world(self) -> bool:
+        """False for an export whose recording has no map coordinates: its ego frame is nowhere."""
+        return any(any(shot.ego.translation) for moment in self.moments for shot in moment)
 
     def pose(self, i: int) -> RigidTransform | None:
         self.key(i)
         image, scan = self.moments[i]
         if not self.camera:
             return self.scan(i).T_world_camera(R_CAMERA_LEVEL)
-        return self._poses(image, scan)[0].inv() if _knows_world(image) else None
+        return self._poses(image, scan)[0].inv() if self._knows_world else None
 
     def moment(self, i: int) -> str:
         self.key(i)
@@ -363,11 +368,6 @@ def open_nuscenes(path: Path, options: ReaderOptions) -> NuScenes | None:
         without = f"{amount(alone, 'image')} without a scan within {within_s:g} s"
         notes.append(f"left out: {without} (--tolerance changes it)")
     return NuScenes(path, keys, tables, tuple(scenes), scene, camera, cameras, moments, tuple(notes))
-
-
-def _knows_world(shot: Shot) -> bool:
-    """False for the ego frame of an export whose recording has no map coordinates."""
-    return any(shot.ego.translation)
 
 
 def _camera(path: Path, image: Shot, width_px: int, height_px: int) -> Camera:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -309,13 +309,13 @@ def survey_poses(
     source, pose = source or recording.pose_source, pose or recording.pose
     if source is None:
         return None
-    poses, broken = dict[int, RigidTransform](), dict[str, int]()
+    poses, broken = dict[int, RigidTransform](), dict[int, str]()
     for i in range(len(recording)):
         try:
             if (known := pose(i)) is not None:
                 poses[i] = known
         except RecordingError as error:
-            broken.setdefault(str(error), i)
+            broken[i] = str(error)
     posed = list(poses)
     steps = [poses[i].inv() * poses[j] for i, j in pairwise(posed)]
     lengths_m = np.array([np.linalg.norm(step.translation) for step in steps])
@@ -324,16 +324,16 @@ def survey_poses(
         frames=len(recording),
         posed=len(posed),
         way_m=float(lengths_m.sum()),
-        gaps=(*_gaps(recording, poses, source), *broken),
+        gaps=(*_gaps(recording, {**broken, **poses}, source), *dict.fromkeys(broken.values())),
         jumps=_jumps(recording, posed, lengths_m, np.degrees([step.rotation.magnitude() for step in steps])),
     )
 
 
-def _gaps(recording: Recording, poses: dict[int, RigidTransform], source: str) -> tuple[str, ...]:
-    missing = [key for i, key in enumerate(recording.keys) if i not in poses]
+def _gaps(recording: Recording, known: Collection[int], source: str) -> tuple[str, ...]:
+    missing = [key for i, key in enumerate(recording.keys) if i not in known]
     if not missing:
         return ()
-    if not poses and recording.is_sequence:
+    if not known and recording.is_sequence:
         advice = "are its times of the frames' clock, and is its sensor calibrated?"
         return (f"{source} has a pose for no frame: {advice}",)
     return (f"{amount(len(missing), 'frame')} without a pose: {first_few(missing, MOST_NAMED)}",)

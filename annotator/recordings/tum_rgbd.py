@@ -226,4 +226,5 @@ def _poses(path: Path) -> Poses | None:
         if len(words) != 7:
             raise RecordingError(f"{path}:{line}: must be a time, a place and a unit quaternion; {REMEDY}")
         rows.append((line, _time_ns(path, line, time), numbers(path, line, words)))
-    return Poses.listed(path, rows)
+    # as the lists of images: their lines may be in any order
+    return Poses.listed(path, sorted(rows, key=lambda row: row[1]))

@@ -207,8 +207,11 @@ def actions(
             frame.recording_id, Correction((0.1 * a, 0.0, -0.2 * b), (0.0, 0.3 * b, 0.1 * a)), who
         ),
         "estimate": lambda: project.estimates.keep(
-            frame.recording_id,
-            [FramePose.of(frame.key, RigidTransform.from_translation([a, b, 0.5]), 0.9, 0.01, 0.2)] * (a > 0),
+            1,  # whose frames name all moments
+            [
+                FramePose.of(each.key, RigidTransform.from_translation([a, b, 0.5]), 0.9, 0.01, 0.2)
+                for each in project.frames.of([1])[: 9 * a]
+            ],
             who,
         ),
         "values": lambda: project.labels.set_attributes(

@@ -167,6 +167,9 @@ class CloudFolder(Scanned):
         return None if self.poses is None else self.poses.source
 
     def pose(self, i: int) -> RigidTransform | None:
+        if self.poses is not None and self.calibration(self.key(i)) is None and not self._origin.xyz_m.any():
+            # the virtual camera stands at the sensor, whatever this cloud has
+            return self._T_world_camera(i, CloudCamera(self.path, T_CAMERA_LIDAR, VIRTUAL_CAMERA, UP, False))
         return self._T_world_camera(i, self._source(self.key(i))[0])
 
     def _T_world_camera(self, i: int, source: CloudCamera) -> RigidTransform | None:

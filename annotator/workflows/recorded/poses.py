@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from annotator.geometry.odometry import LEAST_GRIP, LEAST_OVERLAP, Odometry, Placed
+from annotator.geometry.odometry import LEAST_GRIP, LEAST_OVERLAP, LEAST_POINTS, Odometry, Placed
 from annotator.geometry.transforms import level_pose
 from annotator.project import Project
 from annotator.project.records import FramePose
@@ -77,13 +78,12 @@ def estimate_poses(
     stored = [each for each in project.frames.of([recording_id]) if each.index is not None]
     for done, each in enumerate(stored):
         progress(done, len(stored))
-        try:
+        placed, frame = Placed(None, 0.0, 0.0, 0.0), None
+        with suppress(FrameError):  # told as a gap
             frame = source.recorded(each)
-        except FrameError:
-            placed = Placed(None, 0.0, 0.0, 0.0)
-        else:
-            if frame.in_map:
-                raise ConfigError(f"{name}: its clouds are in the coordinates of one map already")
+        if frame is not None and frame.in_map:
+            raise ConfigError(f"{name}: its clouds are in the coordinates of one map already")
+        if frame is not None and len(frame.cloud) >= LEAST_POINTS:
             if odometry is None:
                 odometry, T_world_first = Odometry(frame), level_pose(frame.up)
             placed = odometry.add(frame)
@@ -125,6 +125,6 @@ def _warnings(estimated: tuple[FramePose, ...]) -> tuple[str, ...]:
         "see too few surfaces and edges to be held in all directions": [
             e.key for e in lost if e.overlap >= LEAST_OVERLAP and e.grip < LEAST_GRIP
         ],
-        "cannot be read": [e.key for e in lost if e.overlap == 0],
+        "cannot be read, or show nothing to register": [e.key for e in lost if e.overlap == 0],
     }
     return tuple(f"left out, since they {what}: {first_few(keys, MOST_NAMED)}" for what, keys in why.items() if keys)

@@ -489,8 +489,8 @@ class StandStill(_OfSpan):
             raise ConfigError(f"{track.name} has no {which}")
         if (found := next((pair for pair in there if pair[0].id in posed), None)) is None:
             raise ConfigError(
-                f"{track.name} cannot stand still: the recording does not say where its camera was; add it again if "
-                "its files do"
+                f"{track.name} cannot stand still: the recording does not say where its camera was; `annotator poses "
+                "--estimate` finds it; or add it again if its files do"
             )
         return found
 

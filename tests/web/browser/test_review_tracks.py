@@ -164,6 +164,8 @@ def test_the_operator_chooses_which_of_two_boxes_of_a_track_stays(desk: Desk, wa
     page.locator("body").click(position={"x": 2, "y": 2})
     desk.press("Control+z")
     wait_for(lambda: [label.uid for label in of_track(desk, frame)] == [one])
+    # until the page has heard of it, the track that is typed is the one that is there
+    page.locator(f'[data-testid="frame-box"][data-uid="{one}"]').wait_for()
     page.locator(f'[data-testid="frame-box"][data-uid="{two}"]').click()
     desk.settled()
     enter_track("dialog-other")

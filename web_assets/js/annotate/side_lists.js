@@ -84,7 +84,8 @@ export function createQueueList(/** @type {Annotate} */ at) {
 
   /** Shown in place of the items if there are none. */
   function nothing() {
-    const { name } = app.state.project;
+    // the project may be left already
+    const name = app.state.route.project;
     if (!queue.isFiltered)
       return [
         h(
