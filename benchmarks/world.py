@@ -87,6 +87,7 @@ PARTS = {
     "without_poses": Part("tour", 0.0, ROOM, 12),
 }
 WIDTH_PX, HEIGHT_PX = 320, 240
+ERROR_PX = 2.0  # of the hand
 
 
 @dataclass
@@ -101,8 +102,6 @@ class Arguments(Options):
     """Frames through which `annotate` goes before; 0 = none, so that all is drawn."""
     quality: float = 0.75
     """3D IoU from which the operator leaves a box as it is."""
-    error_px: float = 2.0
-    """Error of the hand, standard deviation in pixels of a picture."""
     seed: int = 0
     """Seed of the recordings, and of the hand's errors."""
 
@@ -199,15 +198,11 @@ def _figures(ious: Sequence[float]) -> dict[str, float | None]:
 
 
 class Traveller(Operator):
-    """The operator of `review_operator`, who also says what stands still.
+    """The operator of `review_operator`, who also says which of the true tracks stand still (none without poses)."""
 
-    Attributes:
-        still: the true tracks that stand still; empty without poses.
-    """
-
-    def __init__(self, project: Project, frames: Sequence[StoredFrame], args: Arguments) -> None:
-        super().__init__(project, frames, args.quality, args.error_px, args.seed)
-        self.still: set[TrackKey] = set()
+    def __init__(self, project: Project, args: Arguments, still: set[TrackKey]) -> None:
+        super().__init__(project, project.frames.of(), args.quality, ERROR_PX, args.seed)
+        self.still = still
 
     def review_stills(self) -> None:
         """Takes what is proposed to stand still from the queue, each in the frame that sees most of it."""
@@ -229,7 +224,8 @@ class Traveller(Operator):
                     item.frame, label.box, thing, bill, can_redraw=False, margin=margin
                 )
                 bill.act("accept", KEY_S)
-                change = edited(label.uid, box) if not is_right else accepted(label.uid)
+                accept = LabelChanged(uid=label.uid, state=ReviewState.ACCEPTED)
+                change = accept if is_right else edited(label.uid, box)
             self.desk.store(item.frame, [change])
 
     def _draw_missing(self, frame: StoredFrame, thing: Thing) -> None:
@@ -271,11 +267,6 @@ class Traveller(Operator):
             self.desk.store(frame, [edited(label.uid, box)])
 
 
-def accepted(uid: str) -> LabelChanged:
-    """An operator's decision that a box is right."""
-    return LabelChanged(uid=uid, state=ReviewState.ACCEPTED)
-
-
 def edited(uid: str, box: OrientedBox) -> LabelChanged:
     """An operator's correction of a box."""
     return LabelChanged(uid=uid, state=ReviewState.EDITED, box=BoxRecord.of(box))
@@ -299,8 +290,7 @@ def _generated(args: Arguments, part: str, folder: Path) -> dict[str, Any]:
         add_recordings(project, [path])
         if args.annotated:
             annotate(project, _detectors(recording, args.seed), rcv_config(project), limit=args.annotated)
-        operator = Traveller(project, project.frames.of(), args)
-        operator.still = still if part != "without_poses" else set()
+        operator = Traveller(project, args, still if part != "without_poses" else set())
         operator.review_stills()
         operator.review(with_sheets=False)
         return _counted(operator, still, poses)
