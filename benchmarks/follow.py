@@ -1,10 +1,13 @@
-"""One true box followed through a recording, with no other label and no detector.
+"""One true box followed through a recording, with no other label and no detector; or one size for a track's boxes.
 
-    python -m benchmarks.follow DIR [--upright | --free] [--json]
+    python -m benchmarks.follow DIR [--upright | --free] [--sizes] [--json]
 
 The first true box of each track is followed to the track's end. A frame for which no box was stored counts as 0.
 `silent_errors` is the share of the stored boxes with an IoU below 0.25 whose doubt (`review_priority`) is below
 `MARKED`; `marked` is the share of the stored boxes with a higher doubt.
+
+With `--sizes`, the base detector measures each box of a track from its true 2D box, frame by frame; then all get the
+size that is fitted to them (`common_size`). The mean error of a side and the mean IoU are before and after.
 """
 
 from __future__ import annotations
@@ -19,16 +22,22 @@ import tyro
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
+from annotator.geometry.outline import box_on_image
+from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import Recording, open_recording
-from annotator.types import Frame, Truth
+from annotator.tracking.common_size import SizedBox, common_size
+from annotator.types import BoxKind, Frame, OrientedBox, Truth
 from annotator.types.errors import ConfigError
 from annotator.workflows.frame_source import orientation_for
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.follow_objects import Follower
+from annotator.workflows.tracks.operations import resized
 from annotator.workflows.tracks.timeline import Moment
+from annotator.workflows.training.held_out import lifted
 from annotator.workflows.workbench.review_queue import doubt
-from benchmarks.cold_start import with_up
+from benchmarks.cold_start import Arguments as ColdStart
+from benchmarks.cold_start import base_detector, with_up
 from benchmarks.report import BoxOptions, Table, guarded, program
 
 # A box with at least this doubt is marked for the operator.
@@ -42,6 +51,10 @@ class Arguments(BoxOptions):
     """A recording with true 3D boxes and tracks, or with one object in each frame."""
     min_points: int = 20
     """A track begins with its first box of at least so many points."""
+    sizes: bool = False
+    """Fit one size to a track's boxes in place of following it."""
+    base: Path | None = None
+    """Weights of a base detector for --sizes; None = the one of the package."""
 
 
 @dataclass
@@ -103,8 +116,38 @@ def follow_track(recording: Recording, label: str, boxes: dict[int, Truth], args
     return score
 
 
+def fit_sizes(recording: Recording, args: Arguments) -> dict[str, Any]:
+    """The mean error of a side and the mean IoU of each track: with the sizes of its frames, and with its own."""
+    detector, view_px = base_detector(ColdStart(args.folder, base=args.base))
+    config = RcvConfig(view_px=view_px).for_detector(BoxKind.BOX, True)
+    found: dict[tuple[str, int], list[tuple[Truth, OrientedBox, SizedBox]]] = defaultdict(list)
+    for (label, track), truths in true_tracks(recording).items():
+        for index, truth in truths.items():
+            frame = with_up(recording.frame(index), [truth], args.upright)
+            drawn = box_on_image(frame.camera, truth.box, label)
+            if drawn is None or contains(truth.box, frame.cloud.xyz_m).sum() < args.min_points:
+                continue
+            (box,) = lifted(frame, [drawn], detector, config, args.rotation)
+            if box is not None:
+                box = with_axes_like(box, truth.box)
+                found[label, track].append((truth, box, SizedBox.of(box, frame.cloud.xyz_m)))
+    rows = []
+    for (label, _), each in sorted(found.items()):
+        size_m = common_size([sized for _, _, sized in each])
+        ways = [(box, resized(box, size_m.tolist())) for _, box, _ in each]
+        row: dict[str, Any] = {"label": label, "frames": len(each)}
+        for way, boxes in zip(("frame", "track"), zip(*ways, strict=True), strict=True):
+            pairs = [(truth.box, box) for (truth, _, _), box in zip(each, boxes, strict=True)]
+            row[f"side_error_m_{way}"] = float(np.mean([np.abs(box.size_m - true.size_m) for true, box in pairs]))
+            row[f"mean_iou_{way}"] = float(np.mean([iou_3d(true, box) for true, box in pairs]))
+        rows.append(row)
+    return {"sizes": rows}
+
+
 def run(args: Arguments) -> dict[str, Any]:
     recording = open_recording(args.folder)
+    if args.sizes:
+        return fit_sizes(recording, args)
     scores = []
     for (label, _), boxes in sorted(true_tracks(recording).items()):
         score = follow_track(recording, label, boxes, args)
@@ -133,6 +176,9 @@ def run(args: Arguments) -> dict[str, Any]:
 
 
 def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
+    if "sizes" in result:
+        heads = ("class", "boxes", "error of a side, m: frame", "IoU", "track", "IoU")
+        return [Table(*heads, rows=(row.values() for row in result["sizes"]))]
     table = Table(
         "class", "frames", "mean IoU", ">= 0.5", "stopped at", "because", rows=(r.values() for r in result["tracks"])
     )

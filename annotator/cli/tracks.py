@@ -13,6 +13,7 @@ from annotator.cli.classes import ClassName
 from annotator.cli.options import RecordingName, RecordingNames, ids_of
 from annotator.cli.output import counted, print_line
 from annotator.project import Project
+from annotator.types import ReviewState
 from annotator.types.errors import ConfigError
 from annotator.types.label import AttributeValue
 from annotator.types.messages import amount, first_problem
@@ -151,16 +152,20 @@ def set_size(
     project: Project,
     recording: RecordingName,
     track: TrackNumber,
-    size: Annotated[tuple[float, float, float], arg(metavar="L W H", help="length, width and height, metres.")],
+    size: Annotated[
+        tuple[()] | tuple[float, float, float],
+        arg(metavar="L W H", help="length, width and height, metres; default: what fits all its boxes and points."),
+    ] = (),
     /,
     *,
     span: InSpan = WHOLE,
 ) -> None:
     """Give all boxes of a track one size, as a rigid object has it.
 
-    Each box keeps its rotation, its bottom, and the sides that face the camera, on which its points lie.
+    Without a size, it is fitted to the reviewed boxes together, or to all if none is reviewed, and to the points of
+    their frames. Each box keeps its rotation, its bottom, and the sides that face the camera, on which its points lie.
     """
-    _operate(project, recording, track, operations.SetSize, span, size_m=size)
+    _operate(project, recording, track, operations.SetSize, span, size_m=size or None)
 
 
 def set_values(
@@ -267,7 +272,8 @@ def still(
         looked = find_sightings(project, chosen, near=at, progress=progress)
     seen = Counter(each.label.track_id for each in project.labels.along(chosen) if each.still is not None)
     for one in project.stills.of(chosen):
-        print_line(f"track {one.track_id} ({one.label}) stands still, seen in {amount(seen[one.track_id], 'frame')}")
+        stands = "is proposed to stand" if one.state is ReviewState.PROPOSED else "stands"
+        print_line(f"track {one.track_id} ({one.label}) {stands} still, seen in {amount(seen[one.track_id], 'frame')}")
     print_line(f"looked through {amount(looked, 'frame')}")
 
 

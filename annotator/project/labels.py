@@ -474,7 +474,7 @@ def _said(row: AnyRow, behind: Sequence[AnyRow], names: Names, place: Place) -> 
 
 
 def _quality(row: AnyRow) -> Quality | None:
-    if row.proposed_box is None:
+    if row.proposed_box is None and row.expected_iou_loss is None:
         return None
     # SQLite stores NaN as NULL
     disagreement, kept_share, last_change = (

@@ -11,7 +11,7 @@ from itertools import groupby
 
 from sqlalchemy import Integer, case, cast, func, select
 
-from annotator.project.database.schema import frames, labels
+from annotator.project.database.schema import frames, labels, recordings, stills
 from annotator.project.database.store import Store
 from annotator.project.labels import REVIEWED
 from annotator.project.review import label_doubt
@@ -33,10 +33,12 @@ class Lane:
         track_id: None for the boxes without a track, whose spans have no class; of several boxes in a frame, the one
             with the most doubt counts.
         spans: in order; between them, the track has no box. Rejected boxes are left out.
+        still: it stands still.
     """
 
     track_id: int | None
     spans: tuple[Span, ...]
+    still: bool = False
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,8 @@ def read_lanes(store: Store, recording_id: int) -> Lanes:
         names = Terms(connection).names
         found = connection.execute(select(frames.c.id).where(present).order_by(frames.c.position)).scalars().all()
         rows = connection.execute(boxes).all()
+        rig = select(recordings.c.rig_id).where(recordings.c.id == recording_id).scalar_subquery()
+        still = set(connection.execute(select(stills.c.track_id).where(stills.c.rig_id == rig)).scalars())
     places = {frame_id: place for place, frame_id in enumerate(found)}
     lanes = []
     for track_id, group in groupby(rows, key=lambda row: row[0]):
@@ -78,7 +82,7 @@ def read_lanes(store: Store, recording_id: int) -> Lanes:
             places[frame]: (None if track_id is None else names[class_id], level)
             for _, frame, class_id, level, _ in group
         }
-        lanes.append(Lane(track_id, tuple(_spans(at.items()))))
+        lanes.append(Lane(track_id, tuple(_spans(at.items())), track_id in still))
     lanes.sort(key=lambda lane: (lane.track_id is None, lane.spans[0][0]))
     return Lanes(tuple(found), tuple(lanes))
 

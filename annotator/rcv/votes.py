@@ -11,7 +11,18 @@ in ways that repeat from view to view, so no single fit is the best one everywhe
 - the box through the median of how far the boxes reach along many directions.
 
 The one is chosen that agrees best with the votes: mean IoU of its outline with the image boxes, plus `BOX_WEIGHT` times
-the mean IoU with the boxes in space. docs/benchmarks.md has the measurements.
+the mean IoU with the boxes in space.
+
+Mean exact IoU, and share of at least 0.5, of the base detector on generated tables, rooms and tours, seen in 6 or 11
+frames along an arc of 70 degrees, or on the way; image boxes with an error of 3 % of their sides:
+
+one frame                                   0.52  0.62    83 objects, on which this was chosen
+the box in the middle (best mean IoU)       0.58  0.71
+the median of the reach                     0.57  0.72
+one fit through all intervals of all views  0.56  0.67    72 of them
+the same of those that agree, with planes   0.60  0.71    0.67 and 0.78 if the views' errors count 16 times
+these votes                                 0.65  0.81    each frame's box, with those that found no partner
+one frame, these votes                      0.51, 0.67    94 others; share of at least 0.5: 0.56, 0.80
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from annotator.types import BoxKind, Camera, Detector, Frame, OrientedBox, Truth
 from annotator.workflows.detectors import load_detector
 from annotator.workflows.training.held_out import lifted
 
-WIDTH, MOST_BYTES, BAR, GAP = 1100, 100_000, 30, 8
+WIDTH, MOST_BYTES, BAR, GAP = 1100, 84_000, 30, 8
 # Generated with `annotator generate`: name, preset, seed, frame, rotation.
 RECORDED = (
     ("people", "people", 2, 0, BoxRotation.UPRIGHT),

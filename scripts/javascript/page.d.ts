@@ -546,6 +546,7 @@ type Change = {
   box?: Box3D;
   track_id?: number | null;
   box_kind?: Api.BoxKind | null;
+  here?: boolean;
   image_box?: (Rect & { label: string }) | null;
   suggestion?: Api.Suggestion | null;
 };

@@ -234,6 +234,15 @@ def test_follow_scores_each_track(agnostic: Callable[..., Any], generated: Path)
     assert result["silent_errors"] == 0
 
 
+def test_follow_fits_one_size_to_a_track(agnostic: Callable[..., Any], generated: Path) -> None:
+    rows = agnostic(follow, generated / "people", "--sizes", "--base", "unused")["sizes"]
+    assert [(row["label"], row["frames"]) for row in rows] == [("person", 5)] * 3
+    for row in rows:
+        # the detector is right in each frame, and who walks has no one size
+        assert row["side_error_m_frame"] < 0.01 < row["side_error_m_track"] < 0.3
+        assert 0.75 < row["mean_iou_frame"] > row["mean_iou_track"] > 0.4
+
+
 def test_objects_that_stand_still_are_right_in_all_later_moments(
     made_once: Callable[[str, Callable[[Path], object]], Path], tmp_path: Path
 ) -> None:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
+from annotator.tracking.common_size import SizedBox, common_size
 from annotator.tracking.link import Seen, frame_times, link, numbered, overlap_at_place
 from annotator.tracking.smooth import FLIP, TrackBox, between, relabelled, relabellings, smoothed
 from annotator.types import OrientedBox
@@ -201,6 +202,33 @@ def test_permuted_axes_have_no_effect(places: list[int], seed: int) -> None:
     assert min(iou_3d(a, b) for a, b in zip(better, true, strict=True)) > 0.999
     turned = [(a.T_camera_box.rotation.inv() * b.T_camera_box.rotation).magnitude() for a, b in pairwise(better)]
     assert max(turned) < 0.12
+
+
+def surface(size_m: np.ndarray, *faces: tuple[int, int]) -> np.ndarray:
+    """Points on sides of a box: of an axis, the one before (-1) or behind (1) its middle."""
+    random, parts = np.random.default_rng(0), []
+    for axis, side in faces:
+        points = random.uniform(-0.5, 0.5, (400, 3)) * size_m
+        points[:, axis] = side * size_m[axis] / 2
+        parts.append(points)
+    return np.concatenate(parts)
+
+
+def test_a_size_is_that_of_the_frames_that_see_the_side_and_no_hidden_side_pulls_it() -> None:
+    size_m, turn = np.array([4.5, 1.8, 1.5]), Rotation.from_euler("xyz", (0.2, 0.4, 0.1)).as_matrix()
+    boxes, place = [], np.array([3.0, 1.0, 20.0])
+    # from behind, a box is as short as what is seen; from the side, as narrow; once both are seen
+    for faces, own_m, middle_m in (
+        ([(0, -1)], (1.0, 1.8, 1.5), (-1.75, 0.0, 0.0)),
+        ([(1, 1)], (4.5, 0.6, 1.5), (0.0, 0.6, 0.0)),
+        ([(0, -1), (1, 1)], (4.5, 1.8, 1.5), (0.0, 0.0, 0.0)),
+    ):
+        box = OrientedBox.from_parts(place + turn @ np.array(middle_m), turn, np.array(own_m))
+        boxes.append(SizedBox.of(box, (surface(size_m, *faces) @ turn.T + place).astype(np.float32)))
+    np.testing.assert_allclose(common_size(boxes), size_m, rtol=0.03)
+    # without points, the boxes tell
+    plain = [SizedBox.of(OrientedBox.from_parts(place, turn, s * size_m), np.zeros((0, 3))) for s in (0.9, 1.1)]
+    np.testing.assert_allclose(common_size(plain), size_m)
 
 
 def test_position_size_and_rotation_are_interpolated_linearly() -> None:

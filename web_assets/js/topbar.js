@@ -11,108 +11,87 @@ import { signOut } from "./session.js";
 import { createWhere, WITH_FRAME } from "./where.js";
 
 export function mountTopbar(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
-  const logo = h("img", { src: "/assets/icon.svg", alt: "" });
-  const brand = h("a.brand", { href: "#/", title: "All projects", "data-testid": "home" }, logo, "annotator");
-  const offline = h("span.offline", { role: "status" });
-  app.state.on("connected", (connected) => {
-    offline.textContent = connected ? "" : "no connection, trying again …";
-  });
   const where = createWhere(app);
-  root.replaceChildren(brand, tabs(app), where, h("span.grow"), offline, jobs(app), history(app), tools(app));
+
+  function show() {
+    const logo = h("img", { src: "/assets/icon.svg", alt: "" });
+    const brand = h("a.brand", { href: "#/", title: "All projects", "data-testid": "home" }, logo, "annotator");
+    const lost = app.state.connected ? "" : "no connection, trying again …";
+    const offline = h("span.offline", { role: "status", "data-key": "offline" }, lost);
+    patch(root, brand, tabs(app), where, h("span.grow"), offline, job(app), history(app), tools(app, show));
+  }
+
+  for (const what of /** @type {const} */ (["connected", "route", "frame", "jobs", "operator"]))
+    app.state.on(what, show);
+  show();
 }
 
 function tabs(/** @type {App} */ app) {
-  const project = h("span.project.ellipsis");
-  const nav = h("nav", { "aria-label": "Modes" });
-  const box = h("div.row.where", h("span.divider"), project, nav);
-  const show = () => {
-    const { mode: current, project: name } = app.state.route;
-    box.hidden = name === null;
-    if (name === null) return;
-    project.textContent = name;
-    project.title = name;
-    const frame = app.state.frame?.frame.id ?? null;
-    const links = MODES.map((mode) => {
-      const label = `${mode[0].toUpperCase()}${mode.slice(1)}`;
-      const href = makeHash(name, mode, WITH_FRAME.has(mode) ? frame : null);
-      return h("a", { href, "aria-current": mode === current ? "page" : null, "data-testid": `mode-${mode}` }, label);
-    });
-    patch(nav, links);
-  };
-  app.state.on("route", show);
-  app.state.on("frame", show);
-  show();
-  return box;
+  const { mode: current, project: name } = app.state.route;
+  const frame = app.state.frame?.frame.id ?? null;
+  const links = MODES.map((mode) => {
+    const label = `${mode[0].toUpperCase()}${mode.slice(1)}`;
+    const href = makeHash(name ?? "", mode, WITH_FRAME.has(mode) ? frame : null);
+    return h("a", { href, "aria-current": mode === current ? "page" : null, "data-testid": `mode-${mode}` }, label);
+  });
+  const project = h("span.project.ellipsis", { title: name }, name);
+  return h("div.row.where", { hidden: name === null, "data-key": "tabs" }, [
+    h("span.divider"),
+    project,
+    h("nav", { "aria-label": "Modes" }, links),
+  ]);
 }
 
 function history(/** @type {App} */ app) {
-  const box = h("div.row", { role: "group", "aria-label": "History" });
-  const show = () => {
-    box.hidden = app.state.route.project === null;
-    const known = app.state.frame?.history;
-    const step = (/** @type {"undo" | "redo"} */ id, /** @type {string} */ verb, /** @type {string} */ key) => {
-      const label = `${verb}${known?.[id] ? `: ${known[id]}` : ""} (${key})`;
-      return iconButton(id, label, () => app[id](), { disabled: known && !known[id], "data-testid": id });
-    };
-    patch(box, step("undo", "Undo", "Ctrl+Z"), step("redo", "Redo", "Ctrl+Shift+Z"));
+  const known = app.state.frame?.history;
+  const step = (/** @type {"undo" | "redo"} */ id, /** @type {string} */ verb, /** @type {string} */ key) => {
+    const label = `${verb}${known?.[id] ? `: ${known[id]}` : ""} (${key})`;
+    return iconButton(id, label, () => app[id](), { disabled: known && !known[id], "data-testid": id });
   };
-  app.state.on("route", show);
-  app.state.on("frame", show);
-  show();
-  return box;
-}
-
-/** Gives an icon another tooltip and accessible name. */
-function entitle(/** @type {HTMLElement} */ icon, /** @type {string} */ text) {
-  icon.title = text;
-  icon.setAttribute("aria-label", text);
+  const attributes = { role: "group", "aria-label": "History", "data-key": "history" };
+  return h("div.row", { ...attributes, hidden: app.state.route.project === null }, [
+    step("undo", "Undo", "Ctrl+Z"),
+    step("redo", "Redo", "Ctrl+Shift+Z"),
+  ]);
 }
 
 /** The running job, or the first one that waits. */
-function jobs(/** @type {App} */ app) {
+function job(/** @type {App} */ app) {
+  const { jobs } = app.state;
+  const shown = jobs.find(({ state }) => state === "running") ?? jobs.find(isActive);
+  if (!shown) return null;
+  const { kind, project, state, stage } = shown;
+  const isQueued = state === "queued";
   const bar = h("progress", { max: 1, "aria-label": "Progress" });
-  const text = h("span");
-  const link = h("a.jobs", { "data-testid": "job-indicator" }, text, bar);
-  const show = () => {
-    const { jobs: all } = app.state;
-    const job = all.find(({ state }) => state === "running") ?? all.find(isActive);
-    link.hidden = !job;
-    if (!job) return;
-    const { kind, project, state, stage } = job;
-    const isQueued = state === "queued";
-    link.href = OF_START.includes(kind) ? "#/" : makeHash(project, kind === "export" ? "export" : "train");
-    link.title = `${NAMES[kind]} in ${project}: ${isQueued ? waiting(job, all) : stage}`;
-    text.textContent = isQueued ? `${NAMES[kind]} waits` : NAMES[kind];
-    showProgress(bar, job);
-  };
-  app.state.on("jobs", show);
-  show();
-  return link;
+  showProgress(bar, shown);
+  const href = OF_START.includes(kind) ? "#/" : makeHash(project, kind === "export" ? "export" : "train");
+  const title = `${NAMES[kind]} in ${project}: ${isQueued ? waiting(shown, jobs) : stage}`;
+  const text = h("span", isQueued ? `${NAMES[kind]} waits` : NAMES[kind]);
+  return h("a.jobs", { href, title, "data-key": "job", "data-testid": "job-indicator" }, text, bar);
 }
 
-function tools(/** @type {App} */ app) {
-  const theme = iconButton("theme", "", () => entitle(theme, `Theme: ${switchTheme()}`), { "data-testid": "theme" });
-  entitle(theme, `Theme: ${currentTheme()}`);
-  const help = iconButton("help", "Keys (?)", () => keyTableDialog(app.keys), { "data-testid": "help" });
-  const operator = button("", leave, { class: "quiet", title: "Sign out", hidden: true, "data-testid": "operator" });
-  app.state.on("operator", (name) => {
-    operator.textContent = name ?? "";
-    operator.hidden = !name;
-  });
-
-  async function leave() {
-    const text = `You are signed in as ${app.state.operator}. Everything is saved.`;
+function tools(/** @type {App} */ app, /** @type {() => void} */ show) {
+  const { operator } = app.state;
+  const change = () => {
+    switchTheme();
+    show();
+  };
+  const leave = async () => {
+    const text = `You are signed in as ${operator}. Everything is saved.`;
     if (await confirm("Sign out", text, "Sign out")) await signOut(app);
-  }
-
-  return h("div.row", theme, help, operator);
+  };
+  return h("div.row", { "data-key": "tools" }, [
+    iconButton("theme", `Theme: ${currentTheme()}`, change, { "data-testid": "theme" }),
+    iconButton("help", "Keys (?)", () => keyTableDialog(app.keys), { "data-testid": "help" }),
+    operator && button(operator, leave, { class: "quiet", title: "Sign out", "data-testid": "operator" }),
+  ]);
 }
 
 // -- dark, light, or the system's choice; kept in this browser
 
 const ORDER = ["system", "dark", "light"];
 
-export function currentTheme() {
+function currentTheme() {
   const kept = localStorage.getItem("theme");
   return kept !== null && ORDER.includes(kept) ? kept : "system";
 }
@@ -122,10 +101,8 @@ export function applyTheme(theme = currentTheme()) {
   else document.documentElement.dataset.theme = theme;
 }
 
-/** Switches to the next of the three; returns its name. */
-export function switchTheme() {
+function switchTheme() {
   const next = ORDER[(ORDER.indexOf(currentTheme()) + 1) % ORDER.length];
   localStorage.setItem("theme", next);
   applyTheme(next);
-  return next;
 }

@@ -86,10 +86,11 @@ class OperationIn(WithEffort):
 
 
 class OperationOut(Schema):
-    """What the operation does, also in words."""
+    """What the operation does, also in words; and the operation to be sent with it, with the size that was fitted."""
 
     count: Count
     words: str
+    operation: AnyOperation
 
 
 @router.get("/api/projects/{name}/recordings/{recording_id}/tracks", response_model=LanesJson)
@@ -188,7 +189,7 @@ def operate(at: AtProject, recording_id: RowId, track_id: TrackId, body: Operati
         fit = box_fitter(at.project, lambda frame: OpenFrame(caches.frames.look(at.project, frame)), view)
         run = RefitRun(at.project, done, at.operator, fit)
         at.ctx.follow_runs.start(at.project, at.operator, run, done.changes[0][0], "between", view is not None)
-    return OperationOut(count=done.count, words=done.count.words())
+    return OperationOut(count=done.count, words=done.count.words(), operation=done.operation)
 
 
 def _own_view(at: InFrame) -> ReadyDetector | None:

@@ -10,6 +10,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 from jaxtyping import Float64
@@ -21,7 +22,7 @@ from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import every_nth, project
 from annotator.project.classes.attributes import Attribute, AttributeOf, value_text
 from annotator.recordings.plausible import DISTANCES_M
-from annotator.types import Camera, Frame, Label, Truth
+from annotator.types import Camera, Frame, Label, OrientedBox, Truth
 from annotator.types.label import AttributeValue
 from annotator.types.messages import amount
 from annotator.workflows.checking import findings as rules
@@ -128,6 +129,43 @@ def heading_jumps(
         angle = turn_of_heading(each.box, other.box)
         if angle > most_rad:
             yield number, f"{each.label} has turned by {np.rad2deg(angle):.0f} degrees since {since}"
+
+
+# An object moves if it goes this far in so many steps, longest sides; it goes backwards if each of these does.
+MOVES, MOVING_STEPS = 0.5, 3
+# A step is a jump if it is longer than this, longest sides, and than this multiple of the median of those around it.
+JUMP, TIMES_USUAL, AROUND = 1.0, 4.0, 4
+
+
+def moves_backwards(boxes: Sequence[OrientedBox]) -> Iterator[tuple[int, float]]:
+    """Yields where a track begins to move against its heading, and how far it does, metres.
+
+    Args:
+        boxes: in order of time, in a world that stands still.
+    """
+    steps = np.diff([box.center_m for box in boxes], axis=0)
+    is_against = [bool(step @ box.rotation[:, 0] < 0) for step, box in zip(steps, boxes, strict=False)]
+    start = 0
+    for against, run in groupby(is_against):
+        end = start + len(list(run))
+        far_m = float(np.linalg.norm(boxes[end].center_m - boxes[start].center_m))
+        if against and end - start >= MOVING_STEPS and far_m > MOVES * boxes[start].size_m.max():
+            yield start, far_m
+        start = end
+
+
+def jumps(boxes: Sequence[OrientedBox], places: Sequence[int]) -> Iterator[tuple[int, float]]:
+    """Yields which boxes of a track are too far from the one before, and how far, metres; as `moves_backwards`.
+
+    Args:
+        places: the numbers of their frames.
+    """
+    steps_m = np.linalg.norm(np.diff([box.center_m for box in boxes], axis=0), axis=1)
+    each_m = steps_m / np.maximum(np.diff(places), 1)
+    for at, (step_m, longest_m) in enumerate(zip(each_m, (box.size_m.max() for box in boxes), strict=False)):
+        others = np.r_[each_m[max(at - AROUND, 0) : at], each_m[at + 1 : at + 1 + AROUND]]
+        if len(others) >= 2 and step_m > max(JUMP * longest_m, TIMES_USUAL * np.median(others)):
+            yield at + 1, float(steps_m[at])
 
 
 def overlaps(boxes: Boxes, least_iou: float) -> Iterator[tuple[int, int, float]]:

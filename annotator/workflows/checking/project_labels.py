@@ -4,9 +4,10 @@
   (`checking.label_rules.UsualSize`; length and width may be swapped); needs enough reviewed boxes;
 - empty: fewer than `LEAST_POINTS` points of the cloud lie in the box;
 - heading: a box has turned by more than 60 degrees since the previous frame of a sequence (matched by track, else the
-  nearest box of its class within its own length), or by more than 120 since the last box of its track;
+  nearest box of its class within its own length), or by more than 120 since the last box of its track; or its track
+  moves against it in the world (`label_rules.moves_backwards`), where the recording has poses;
 - duplicate: two boxes of one class overlap by `OVERLAP_IOU` or more (exact 3D IoU);
-- track: a track has two boxes in one frame, or boxes of two classes;
+- track: a track has two boxes in one frame, or boxes of two classes; or it jumps in the world (`label_rules.jumps`);
 - class: the project does not have the label's class;
 - attribute: a required value is missing, a value does not fit its attribute, the project does not have its attribute,
   or a track has different values of one of its attributes. Values of a frame are checked, too; they must be complete
@@ -21,6 +22,7 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from enum import StrEnum
 
 import numpy as np
@@ -38,6 +40,7 @@ from annotator.types.messages import alternatives
 from annotator.workflows.checking import label_rules
 from annotator.workflows.checking.label_rules import BoxBreach
 from annotator.workflows.frame_source import FrameSource, why_gone
+from annotator.workflows.tracks.timeline import Motion
 
 # Within the project: data that can be recomputed.
 CACHE = "cache/points_inside.json"
@@ -156,8 +159,9 @@ def check_project(project: Project, budget_s: float = math.inf) -> CheckReport:
     tracks = _Tracks(stored, frames)
     classes, attributes, of_frames = project.config.classes, project.config.attributes, project.frames.attributes()
     before = _previous_frames(frames.values(), {r.id for r in recordings.values() if r.is_sequence})
-    last = defaultdict[int, dict[int, tuple[int, Label]]](dict)  # of each recording's tracks, with its index
-    warnings: list[WarningRow] = []
+    last = defaultdict[int, dict[int, tuple[StoredFrame, Label]]](dict)  # of each recording's tracks
+    motions = {id: Motion(project, id) for id in recordings}
+    of_motion, warnings = _odd_motions(motions, stored, frames), list[WarningRow]()
     numbers = Counter[int]()
     for frame in frames.values():
         numbers[frame.recording_id] += 1
@@ -167,7 +171,14 @@ def check_project(project: Project, budget_s: float = math.inf) -> CheckReport:
         points = count_points(frame, [label.box for label in labels])
         of_tracks = last[frame.recording_id]
         is_timed = frame.index is not None and recordings[frame.recording_id].is_sequence
-        near = {id: label for id, (index, label) in of_tracks.items() if (frame.index or 0) - index <= MOST_BESIDE}
+        motion, previous = motions[frame.recording_id], before.get(frame.id, -1)
+        # as this frame's camera sees them
+        earlier = [replace(each, box=motion.moved(each.box, previous, frame.id)) for each in by_frame.get(previous, [])]
+        near = {
+            id: replace(label, box=motion.moved(label.box, there.id, frame.id))
+            for id, (there, label) in of_tracks.items()
+            if (frame.index or 0) - (there.index or 0) <= MOST_BESIDE
+        }
         rules: tuple[tuple[Kind, Iterable[tuple[int | None, str]]], ...] = (
             (Kind.CLASS, _unknown_classes(labels, classes)),
             (Kind.ATTRIBUTE, label_rules.odd_values(labels, attributes)),
@@ -175,7 +186,8 @@ def check_project(project: Project, budget_s: float = math.inf) -> CheckReport:
             (Kind.ATTRIBUTE, tracks.odd_values(labels, frame, attributes)),
             (Kind.TRACK, tracks.odd_classes(labels, frame)),
             (Kind.SIZE, tracks.odd_sizes(labels, frame, dict(label_rules.odd_sizes(labels, usual)))),
-            (Kind.HEADING, label_rules.heading_jumps(labels, by_frame.get(before.get(frame.id, -1), []), last=near)),
+            (Kind.HEADING, label_rules.heading_jumps(labels, earlier, last=near)),
+            *((kind, [(n, told)]) for n, each in enumerate(labels) for kind, told in of_motion.get(each.uid, ())),
             (Kind.DUPLICATE, _duplicates(labels)),
             (Kind.EMPTY, _empty(labels, points)),
         )
@@ -193,7 +205,7 @@ def check_project(project: Project, budget_s: float = math.inf) -> CheckReport:
             for number, message in breaches
         ]
         if is_timed:
-            of_tracks |= {each.track_id: (frame.index or 0, each) for each in labels if each.track_id is not None}
+            of_tracks |= {each.track_id: (frame, each) for each in labels if each.track_id is not None}
     count_points.save()
     gone = (why_gone(each.path, each.name, project.path.name) for each in recordings.values())
     return CheckReport(
@@ -202,6 +214,31 @@ def check_project(project: Project, budget_s: float = math.inf) -> CheckReport:
         unreadable=(*filter(None, gone), *count_points.unreadable),
         uncounted=count_points.unknown,
     )
+
+
+def _odd_motions(
+    motions: Mapping[int, Motion], stored: Sequence[StoredLabel], frames: Mapping[int, StoredFrame]
+) -> dict[str, list[tuple[Kind, str]]]:
+    """What is odd about how tracks move in the world, by the uid of the box where it begins."""
+    tracks = defaultdict[tuple[int, int], list[tuple[int, StoredFrame, Label]]](list)
+    for each in stored:
+        frame = frames[each.frame_id]
+        if each.label.track_id is not None and frame.index is not None:
+            tracks[frame.recording_id, each.label.track_id].append((frame.index, frame, each.label))
+    found = defaultdict[str, list[tuple[Kind, str]]](list)
+    for (recording, number), ones in tracks.items():
+        motion = motions[recording]
+        if not motion.is_known:
+            continue
+        ones = sorted(ones, key=lambda one: one[0])
+        boxes = [motion.moved(label.box, frame.id, ones[0][1].id) for _, frame, label in ones]
+        for at, far_m in label_rules.moves_backwards(boxes):
+            told = f"track {number} moves {far_m:.1f} m against its heading from here on"
+            found[ones[at][2].uid].append((Kind.HEADING, told))
+        for at, far_m in label_rules.jumps(boxes, [place for place, _, _ in ones]):
+            told = f"track {number} jumps by {far_m:.1f} m since frame {ones[at - 1][1].key}"
+            found[ones[at][2].uid].append((Kind.TRACK, told))
+    return found
 
 
 class _Tracks:

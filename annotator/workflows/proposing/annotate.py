@@ -127,11 +127,17 @@ class Batch:
                 if attempt == WRITE_ATTEMPTS:
                     raise
 
-    def vote(self, recordings: Sequence[int] | None = None) -> None:
+    def vote(self, recordings: Sequence[int] | None = None, progress: Progress | None = None) -> None:
         """Proposes what stands still once for all frames, after a pass over recordings (None = all)."""
+        frames = self.summary.frames
+
+        def beat(*_: int) -> None:
+            if progress is not None:
+                progress(frames, frames)
+
         if self.summary.done:
             chosen = [each.id for each in self.project.recordings.all()] if recordings is None else recordings
-            self.summary.still = vote_stills(self.project, chosen, self.author, self.action, self.box_kind)
+            self.summary.still = vote_stills(self.project, chosen, self.author, self.action, self.box_kind, beat)
 
     def _require_unadjusted(self, recording_id: int) -> None:
         """Refuses results that were found before the recording's cloud was moved, or its up direction changed."""
@@ -222,7 +228,7 @@ def annotate_with(
         engine.close()
         raise
     project.jobs.finish(run.id)
-    batch.vote(recordings)
+    batch.vote(recordings, progress)
     batch.summary.seconds = time.perf_counter() - begin
     return batch.summary
 

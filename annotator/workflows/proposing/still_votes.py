@@ -9,7 +9,7 @@ which the box does not move. What moves, or has no partner, stays a proposal of 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -30,13 +30,19 @@ ATTEMPTS = 5
 
 
 def vote_stills(
-    project: Project, recordings: Sequence[int], author: str, action: str, box_kind: BoxKind = BoxKind.BOX
+    project: Project,
+    recordings: Sequence[int],
+    author: str,
+    action: str,
+    box_kind: BoxKind = BoxKind.BOX,
+    progress: Callable[[int, int], object] = lambda *_: None,
 ) -> int:
     """Proposes what stands still in the rigs of recordings, in place of the open proposals of it; returns how many.
 
     Args:
         author, action: of the pass, of which this is a part.
         box_kind: what the proposed boxes enclose.
+        progress: called with (moments done, moments) while they are looked through; its exceptions end that.
     """
     count, done = 0, set[int]()
     for recording_id in recordings:
@@ -51,7 +57,7 @@ def vote_stills(
             except StaleRevisionError:  # an operator has changed a frame; what is reviewed now is left out
                 if attempt == ATTEMPTS:
                     raise
-        find_sightings(project, recording_id)
+        find_sightings(project, recording_id, progress=progress)
     return count
 
 
@@ -110,7 +116,8 @@ class _Rig:
         style = self._project.config.class_styles.get(group[0].label)
         if style is not None and style.still:
             return True
-        if group[-1].frame - group[0].frame < LEAST_SPAN or len(group) < 4:
+        first, last = (self._frames[vote.frame].index or 0 for vote in (group[0], group[-1]))
+        if last - first < LEAST_SPAN or len(group) < 4:
             return False
         half = len(group) // 2
         both = [agreed([part]) for part in (group[:half], group[half:])]

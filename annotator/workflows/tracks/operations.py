@@ -32,24 +32,29 @@ from annotator.project.changes import (
 from annotator.project.classes.attributes import Attribute, AttributeOf
 from annotator.project.lanes import read_lanes
 from annotator.project.stills import Sighting
+from annotator.tracking.common_size import SizedBox, common_size
 from annotator.tracking.link import MAX_GAP, MOTION_BOXES, predicted
 from annotator.tracking.smooth import between
 from annotator.types import OrientedBox, ReviewState
 from annotator.types.bases import Strict, TrackId
-from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
+from annotator.types.errors import ConfigError, NotFoundError, RecordingError, StaleRevisionError
 from annotator.types.label import MOST_TRACK, AttributeValue
 from annotator.types.messages import alternatives, amount
+from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks.propose_boxes import Surroundings, changed_box, proposal_events, proposal_like
 from annotator.workflows.tracks.timeline import Motion, OpenRecording, Timeline
 from annotator.workflows.workbench.save_object import frame_parts, parts_of_frames
+
+Length = Annotated[float, Field(ge=1e-4, le=1e4, allow_inf_nan=False)]
+Size = tuple[Length, Length, Length]
 
 
 class Count(Strict):
     """What an operation does: numbers of boxes.
 
     `reviewed`: of those that are changed or deleted. Unchanged: `finalised` boxes, or frames to fill, in finalised
-    frames, and `covered` ones where the object is labelled already, or was rejected. `number`: what the boxes get;
-    `joined`: how many boxes have it before.
+    frames, and `covered` ones where the object is labelled already, or was rejected. `number`, `size_m`: what the boxes
+    get; `joined`: how many boxes have the number before.
     """
 
     changed: int = 0
@@ -60,6 +65,7 @@ class Count(Strict):
     covered: int = 0
     number: int | None = None
     joined: int = 0
+    size_m: Size | None = None
 
     def words(self) -> str:
         """Such as "changes 25 boxes, 3 of them reviewed; unchanged: 2 in finalised frames"."""
@@ -73,6 +79,8 @@ class Count(Strict):
         if self.number is not None:
             of_track = f"that of {amount(self.joined, 'other box')}" if self.joined else "a new one"
             said += f"; their number is {self.number}, {of_track}"
+        if self.size_m is not None:
+            said += f"; they get {' x '.join(f'{side:.2f}' for side in self.size_m)} m"
         return f"{said}; unchanged: {self.left()}" if self.left() else said
 
     def left(self) -> str:
@@ -96,6 +104,8 @@ class Step:
     sees: str | None = None
 
 
+# Of a `Count`: what the boxes get, not how many they are.
+GIVEN = ("number", "size_m")
 FINALISED, COVERED = Count(finalised=1), Count(covered=1)
 
 
@@ -291,16 +301,38 @@ def likeliest(track: Track) -> int | None:
     return min(costs, key=lambda number: costs[number], default=None)
 
 
-Length = Annotated[float, Field(ge=1e-4, le=1e4, allow_inf_nan=False)]
+# The frames whose points tell an object's size, at most: an operator waits for them.
+MOST_MEASURED = 20
 
 
 class SetSize(_OfSpan):
-    """All boxes get one size (length, width, height), metres, as a rigid object has it; see `resized`."""
+    """All boxes get one size (length, width, height), metres, as a rigid object has it; see `resized`.
+
+    Attributes:
+        size_m: None = the one that fits all of them (`common_size`), or all reviewed ones, if there are any.
+    """
 
     do: Literal["size"] = "size"
-    size_m: tuple[Length, Length, Length]
+    size_m: Size | None = None
+
+    def fitted(self, track: Track) -> SetSize:
+        """With the size that fits the boxes, and the points of their frames that can be read."""
+        every = [pair for pair in track.of_frames() if pair[0].id in track.inside and not is_rejected(pair[1])]
+        chosen = [pair for pair in every if pair[1].label.state in REVIEWED] or every
+        if not chosen:
+            raise ConfigError(_nothing(track, self, Count()))
+        source, found = FrameSource(track.project), list[SizedBox]()
+        for frame, stored in chosen[:: -(-len(chosen) // MOST_MEASURED)]:
+            try:
+                xyz_m = source.read(frame).cloud.xyz_m
+            except RecordingError:  # of frames that are away, the boxes tell
+                xyz_m = np.zeros((0, 3), np.float32)
+            found.append(SizedBox.of(stored.label.box, xyz_m, stored.label.state in REVIEWED))
+        length, width, height = (round(side, 3) for side in common_size(found).tolist())
+        return self.model_copy(update={"size_m": (length, width, height)})
 
     def steps(self, track: Track) -> Iterator[Step]:
+        assert self.size_m is not None
         boxes = {frame.id: resized(stored.label.box, self.size_m) for frame, stored in track.in_span()}
         there = track.around((track.frames[id], box) for id, box in boxes.items())
 
@@ -308,7 +340,8 @@ class SetSize(_OfSpan):
             box = boxes[frame.id]
             return None if same_box(box, stored.label.box) else changed_box(there, frame, stored, box=box)
 
-        return track.each(there, change)
+        for step in track.each(there, change):
+            yield replace(step, count=step.count.model_copy(update={"size_m": self.size_m}))
 
 
 def resized(box: OrientedBox, size_m: Sequence[float]) -> OrientedBox:
@@ -502,11 +535,13 @@ class Done:
     """What an operation has done, or would do.
 
     Attributes:
+        operation: as it was asked for, with the size that was fitted.
         action: its id.
         changes: of each changed frame, by its id.
     """
 
     count: Count
+    operation: Operation
     action: str
     changes: tuple[tuple[int, Sequence[Payload]], ...]
 
@@ -550,6 +585,9 @@ def apply(
     """
     if abs(track_id) > MOST_TRACK:
         raise ConfigError(f"track ids are at most {MOST_TRACK}, not {track_id:.6g}; give the id of a track")
+    if isinstance(operation, SetSize) and operation.size_m is None:
+        # frames are read for it, which takes too long for a transaction
+        operation = operation.fitted(Track(project, recording_id, track_id, operation, recordings))
     new_track = isinstance(operation, SetNumber) and operation.number is None
     for _ in range(ATTEMPTS):
         with project.store.snapshot():
@@ -561,7 +599,9 @@ def apply(
                 raise ConfigError(_nothing(track, operation, count))
             if told is not None and told != count:
                 raise ConfigError(f"{track.name} was changed in the meantime: this now {count.words()}; look again")
-            done = Done(count, new_action(), tuple((step.frame.id, step.events) for step in steps if step.events))
+            done = Done(
+                count, operation, new_action(), tuple((step.frame.id, step.events) for step in steps if step.events)
+            )
             if dry_run:
                 return done
             is_motion = isinstance(operation, StandStill | Move)
@@ -588,9 +628,9 @@ def apply(
 
 
 def _sum(counts: Sequence[Count]) -> Count:
-    names = [name for name in Count.model_fields if name != "number"]
-    number = next((each.number for each in counts if each.number is not None), None)
-    return Count(**{name: sum(getattr(each, name) for each in counts) for name in names}, number=number)
+    given = {name: next((v for each in counts if (v := getattr(each, name)) is not None), None) for name in GIVEN}
+    names = Count.model_fields.keys() - given
+    return Count(**{name: sum(getattr(each, name) for each in counts) for name in names}, **given)
 
 
 def _nothing(track: Track, operation: Operation, count: Count) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import threading
 from collections.abc import Callable
@@ -18,6 +19,7 @@ from annotator.project.changes import LabelChanged
 from annotator.rcv.follow_object import Followed, FollowStop
 from annotator.recordings import open_recording
 from annotator.types import Box2D, Label, Proposal, Quality, ReviewState, Source, Truth
+from annotator.types.messages import amount
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.follow_objects import Follower
 from annotator.workflows.tracks.refit_run import MIN_IOU
@@ -162,6 +164,8 @@ def test_the_operator_chooses_which_of_two_boxes_of_a_track_stays(desk: Desk, wa
     page.locator("body").click(position={"x": 2, "y": 2})
     desk.press("Control+z")
     wait_for(lambda: [label.uid for label in of_track(desk, frame)] == [one])
+    # until the page has heard of it, the track that is typed is the one that is there
+    page.locator(f'[data-testid="frame-box"][data-uid="{one}"]').wait_for()
     page.locator(f'[data-testid="frame-box"][data-uid="{two}"]').click()
     desk.settled()
     enter_track("dialog-other")
@@ -308,6 +312,30 @@ def test_a_whole_track_changes_once_the_page_has_told_what_that_changes(desk: De
     np.testing.assert_array_equal(np.abs(np.subtract(after, before)) > 1e-6, [False, True, True, True, False])
     page.locator("body").click(position={"x": 2, "y": 2})
     undo(lambda: [project.labels.get(uid).label.box.center_m[0] for uid in uids] == before)
+
+    # one that stands still has one box, which the frames that see it show, and change, together
+    with project.store.write() as connection:
+        connection.exec_driver_sql("UPDATE frames SET world = ?", (json.dumps(np.eye(4).tolist()),))
+    show(desk, 2, uids[2])
+    desk.press("a")
+    unchanged = "unchanged: 2 where a box is reviewed or rejected already"
+    answer(f"changes 1 box and deletes 2 boxes, none of them reviewed; {unchanged}")
+    expect(page.get_by_test_id("track-still")).to_have_attribute("aria-pressed", "true")
+    lanes = page.get_by_test_id("timeline-lanes").locator("canvas")
+    wait_for(lambda: not project.stills.unsighted(1))
+    shown = project.labels.along(1, tracks=[7])
+    also = next(each.frame_id for each in shown if each.still and each.frame_id != frames[2])
+    number = len(shown)
+    expect(lanes).to_have_attribute("aria-label", re.compile(rf"person 7 \(still\): in {number} frames, {number} re"))
+    page.get_by_test_id("track-here").check()
+    desk.press("Delete")
+    wait_for(lambda: [label.state for label in of_track(desk, frames[2])] == [ReviewState.REJECTED])
+    assert [label.state for label in of_track(desk, also)] == [ReviewState.ACCEPTED]
+    undo(lambda: [label.state for label in of_track(desk, frames[2])] == [ReviewState.ACCEPTED])
+    page.locator('[data-testid="frame-box"][data-state="accepted"]').click()
+    desk.press("a")
+    answer(f"proposes {amount(len([each for each in shown if each.still]) - 1, 'box')}")
+    assert [label.state for label in of_track(desk, also)] == [ReviewState.PROPOSED]
 
 
 def truths(desk: Desk, index: int) -> list[Truth]:

@@ -28,7 +28,8 @@ from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.annotate import AUTHOR, annotate
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.workbench.review_queue import Order, queue
+from annotator.workflows.tracks.link import link_tracks
+from annotator.workflows.workbench.review_queue import Order, doubt, queue
 
 FRAMES, JITTER = 8, 0.06
 CAMERA = Camera(320, 240, 260.0, 260.0, 159.5, 119.5)
@@ -80,6 +81,9 @@ def test_one_look_takes_it_in_all_frames(tour: Project, recording: Recording) ->
     assert {still_of(item.uid or "") for item in stills} == {each.uid for each in open_stills}
     assert len(stills) == len(open_stills) and waiting.total == len(waiting.items)
     assert [item.doubt for item in waiting.items] == sorted((item.doubt or 0 for item in waiting.items), reverse=True)
+    for item in stills:  # the page says as much of the box as the queue
+        at = tour.labels.get(item.uid or "")
+        assert doubt(at.quality, at.label.score) == pytest.approx(item.doubt)
     # better than each frame alone, and in more frames
     found = tour.proposals.found(1)
     alone = mean_iou(tour, recording, lambda id: [each.box for each in found[id] if each.label == "object"])
@@ -104,6 +108,10 @@ def test_the_next_pass_replaces_what_is_open_and_nothing_else(tour: Project, rec
         context = WriteContext(tour.frames.get(item.frame.id).revision, "ann")
         tour.log.append(item.frame.id, [LabelChanged(uid=item.uid or "", state=state)], context)
     before = {each.uid: each for each in tour.stills.of(1)}
+    assert link_tracks(tour).busy == ()
+    assert {each.uid: each.box.center_m.tolist() for each in tour.stills.of(1)} == {
+        uid: each.box.center_m.tolist() for uid, each in before.items()
+    }
     annotate(tour, shaky(recording, 1), RcvConfig())
     after = {each.uid: each for each in tour.stills.of(1)}
     kept = {still_of(item.uid or "") for item in reviewed}

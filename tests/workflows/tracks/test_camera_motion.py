@@ -17,6 +17,7 @@ from annotator.project.records import BoxRecord
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.follow_object import Followed
 from annotator.types import OrientedBox, ReviewState
+from annotator.workflows.checking.project_labels import check_project
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks import follow_objects
 from annotator.workflows.tracks.copy_next import copy_next
@@ -138,6 +139,36 @@ def test_the_likeliest_other_part_of_a_track_is_where_it_would_be_in_the_world(r
     same = NewLabel("person", drive.van(1), track_id=9)
     room.project.labels.create(room.frames[3].id, [same], room.context(3))
     assert apply(room.project, room.recording, TRACK, Merge(), ANN).count.number == 8
+
+
+@pytest.mark.parametrize(
+    ("step_m", "away", "wanted"),
+    [
+        (1.2, None, []),
+        (-1.2, None, [("heading", 0, "track 3 moves 4.8 m against its heading from here on")]),
+        # it stands still, but for noise
+        (-0.1, None, []),
+        # one box is elsewhere: there it goes, and from there it comes
+        (
+            0.0,
+            2,
+            [("track", 2, "track 3 jumps by 9.0 m since frame 000001"), ("track", 3, "jumps by 9.0 m since frame")],
+        ),
+    ],
+)
+def test_a_track_that_moves_backwards_or_jumps_in_the_world_is_found(
+    room: Room, step_m: float, away: int | None, wanted: list[tuple[str, int, str]]
+) -> None:
+    drive = Drive(room, 9)
+    for index in range(5):
+        ahead = drive.world[0].rotation @ AHEAD * (index * step_m + 9.0 * (index == away))
+        drive.world[index] = OrientedBox.from_parts(drive.world[0].center_m + ahead, drive.world[0].rotation, SIZE_M)
+        drive.put(index)
+    places = {frame.id: index for index, frame in enumerate(room.frames)}
+    moves = [each for each in check_project(room.project).warnings if each.kind in ("heading", "track")]
+    found = [(each.kind, places[each.frame], each.message) for each in moves]
+    assert [each[:2] for each in found] == [each[:2] for each in wanted]
+    assert all(text in told for (_, _, told), (_, _, text) in zip(found, wanted, strict=True))
 
 
 def test_following_expects_what_moves_evenly_in_the_world(room: Room, monkeypatch: pytest.MonkeyPatch) -> None:

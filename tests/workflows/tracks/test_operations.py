@@ -159,7 +159,7 @@ def test_an_open_box_does_not_become_one_that_covers_a_reviewed_one(track: Room)
 
 def test_one_size_keeps_the_bottom_and_the_sides_that_face_the_camera(track: Room) -> None:
     size_m = (0.8, 0.7, 1.5)
-    assert do(track, SetSize(size_m=size_m)) == Count(changed=5, reviewed=2)
+    assert do(track, SetSize(size_m=size_m)) == Count(changed=5, reviewed=2, size_m=size_m)
     assert all(np.allclose(label.box.size_m, size_m) for _, label in of_track(track))
     assert all(np.allclose(label.box.rotation, np.eye(3)) for _, label in of_track(track))
 
@@ -172,6 +172,31 @@ def test_one_size_keeps_the_bottom_and_the_sides_that_face_the_camera(track: Roo
     stays = np.isclose(faces(was), faces(now))
     assert stays.tolist() == [[True, False, True], [False, False, False]]
     assert now.center_m[1] == was.center_m[1]
+
+
+def test_the_size_of_a_track_is_fitted_to_its_boxes_and_the_points_of_their_frames(room: Room) -> None:
+    """One side of each box is too short for its points: no side of the common size is."""
+    shrunk = [(0.6, 1, 1), (1, 0.6, 1), (1, 1, 0.6), (0.6, 1, 1), (1, 0.6, 1)]
+    for index, factors in enumerate(shrunk):
+        box = room.box(index)
+        put(room, index, box=OrientedBox.from_parts(box.center_m, box.rotation, box.size_m * factors))
+    told = apply(room.project, room.recording, 3, SetSize(), ANN, dry_run=True)
+    assert isinstance(told.operation, SetSize)
+    size_m = told.count.size_m
+    assert size_m is not None and told.count == Count(changed=5, size_m=size_m)
+    assert f"they get {size_m[0]:.2f} x " in told.count.words()
+    # what was told is done, and is one step back
+    assert do(room, told.operation, told=told.count).size_m == size_m
+    assert all(np.allclose(label.box.size_m, size_m) for _, label in of_track(room))
+    mean_m = np.mean([room.box(index).size_m for index in range(5)], axis=0)
+    assert (np.abs(size_m / mean_m - 1) < np.abs(np.mean(shrunk, axis=0) - 1)).all()
+    room.project.history.undo(ANN)
+    # where boxes are reviewed, only they say it
+    uid = of_track(room)[2][1].uid
+    large = BoxRecord.of(OrientedBox.from_parts(room.box(2).center_m, room.box(2).rotation, np.array([1.5, 1.2, 2.5])))
+    edit = LabelChanged(uid=uid, state=ReviewState.EDITED, box=large)
+    room.project.log.append(room.frames[2].id, [edit], room.context(2))
+    assert do(room, SetSize(), dry_run=True).size_m == (1.5, 1.2, 2.5)
 
 
 def test_boxes_that_an_action_adds_have_the_value_that_it_gave_their_track_before(room: Room) -> None:

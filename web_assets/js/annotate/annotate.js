@@ -107,10 +107,13 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     parts.saving.textContent = isSaving ? "saving …" : opening.loading ? "opening …" : "";
   }
 
+  /** The next frame is shown once, when its box is selected; what comes late, after the mode was left, is not. */
+  const isBetween = () => opening.loading || until.aborted;
+
   /** The object that is drawn has changed. */
   function showDrawn() {
     showBusy();
-    if (opening.loading) return;
+    if (isBetween()) return;
     image.show();
     boxList.show();
     fields.show();
@@ -124,8 +127,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
   }
 
   function showAll() {
-    // the next frame is shown once, when its box is selected
-    if (opening.loading) return;
+    if (isBetween()) return;
     const picture = app.state.frame?.image;
     parts.root.classList.toggle("wide", picture !== undefined && picture.width > WIDE_ASPECT * picture.height);
     showBox();

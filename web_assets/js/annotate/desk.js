@@ -18,6 +18,10 @@ import { changesOn, chooseBox, versionOf } from "./versions.js";
 /** True if a label has not been reviewed yet. */
 export const isOpen = (/** @type {{ state: Api.ReviewState }} */ label) => label.state === "proposed";
 
+/** What a corrected box encloses: the whole object, but one that was only turned encloses what it did. */
+const kindOf = (/** @type {PageLabel | null} */ before, /** @type {Box3D} */ box) =>
+  before && fillSame(before.box, box) ? null : "box";
+
 export function createDesk(/** @type {App} */ app) {
   /** @type {Set<(what: DeskEvent) => unknown>} */
   const listeners = new Set();
@@ -32,6 +36,8 @@ export function createDesk(/** @type {App} */ app) {
   let pose = null;
   /** @type {string | null} */
   let uid = null;
+  /** Whether changes of the selected box, whose object stands still, are for this frame only. */
+  let isHere = false;
   /** @type {Set<() => void>} */
   const leaving = new Set();
   const sender = createSender(app, () => notify("saving"));
@@ -126,6 +132,7 @@ export function createDesk(/** @type {App} */ app) {
     if (id === uid) return;
     keep();
     uid = id;
+    isHere = false;
     notify("selection");
   }
 
@@ -213,6 +220,8 @@ export function createDesk(/** @type {App} */ app) {
     return true;
   }
 
+  const isHereOnly = (/** @type {string} */ id) => isHere && id === uid && stored(id)?.still === true;
+
   function save(/** @type {string | null} */ id, /** @type {LabelDraft} */ draft) {
     draft.sent = sendDraft(id ?? "", draft);
     return draft.sent;
@@ -223,13 +232,12 @@ export function createDesk(/** @type {App} */ app) {
     draft.sending = wanted;
     const { label, box, track_id } = wanted;
     const before = stored(id);
-    // another track id does not change the box, so its review stays valid; a corrected box is that of the whole object,
-    // but one that was only turned encloses what it did
+    // another track id does not change the box, so its review stays valid
     const isTrackOnly = before && before.label === label && sameBox(before.box, box);
     /** @type {Change} */
     const change = isTrackOnly
       ? { kind: "track", uid: id, track_id }
-      : { kind: "edit", uid: id, label, box, track_id, box_kind: before && fillSame(before.box, box) ? null : "box" };
+      : { kind: "edit", uid: id, label, box, track_id, box_kind: kindOf(before, box), here: isHereOnly(id) };
     const error = await send([change], id);
     if (draft.sending === wanted) draft.sending = null;
     draft.problem = error;
@@ -274,6 +282,13 @@ export function createDesk(/** @type {App} */ app) {
     get shown() {
       const label = stored();
       return label && seen(label);
+    },
+
+    get isHere() {
+      return isHere;
+    },
+    setHere(/** @type {boolean} */ on) {
+      isHere = on;
     },
 
     isDraft: (/** @type {string} */ id) => drafts.has(id),
@@ -393,7 +408,7 @@ export function createDesk(/** @type {App} */ app) {
       // a rejected or deleted box needs no correction
       const draft = drafts.get(id);
       if (kind !== "accept") drafts.delete(id);
-      const error = await send([{ kind, uid: id }], id);
+      const error = await send([{ kind, uid: id, here: isHereOnly(id) }], id);
       if (error && draft && stored(id) && !drafts.has(id)) drafts.set(id, draft);
       return !error;
     },

@@ -99,8 +99,33 @@ export function createFollow(/** @type {Annotate} */ at) {
     patch(
       list,
       run.message ? h("li.bad", run.message) : null,
-      run.tracks.map((track) => trackRow(app.state, track, reached(present, track), opening.go)),
+      run.tracks.map((track) => trackRow(present, track)),
     );
+  }
+
+  function trackRow(/** @type {Api.FollowRunJson} */ of, /** @type {Api.FollowedTrack} */ track) {
+    const name = track.track_id === null ? track.label : `Track ${track.track_id} (${track.label})`;
+    const left = track.doubtful > 0 ? `, ${count(track.doubtful, "doubtful frame")} left out` : "";
+    const text = `${name}: ${count(track.boxes, "box", "boxes")}${left}${reached(of, track)}`;
+    // the colours of tracks are too light for text
+    const dot = h("span.dot");
+    dot.style.background = trackColor(track.track_id);
+    const stops = track.stops.map(({ frame_id: frame, key, reason }) =>
+      button([h("b", `${frameName(app.state, frame, key)} →`), ` ${reason}`], () => opening.go({ frame, uid: null }), {
+        class: "stop",
+        title: `Go to this frame (${key}) and correct or draw the box; then follow it from there`,
+        "data-testid": "follow-go",
+        "data-frame": String(frame),
+      }),
+    );
+    return h("li", { "data-testid": "followed" }, h("span.grow", dot, text), stops);
+  }
+
+  /** How far an object was followed; empty while it is not known, and if it has not come so far. */
+  function reached(/** @type {Api.FollowRunJson} */ of, /** @type {Api.FollowedTrack} */ { stops, is_open }) {
+    if (of.state !== "done" || of.direction === "between" || stops.length > 0) return "";
+    if (!is_open) return ", to its next reviewed box";
+    return `, to the recording's ${of.direction === "backward" ? "first" : "last"} frame`;
   }
 
   function hide() {
@@ -145,44 +170,4 @@ export function createFollow(/** @type {Annotate} */ at) {
     isFollowed: (/** @type {number} */ track) =>
       run?.state === "running" && run.direction !== "between" && run.tracks.some(({ track_id }) => track_id === track),
   };
-}
-
-/** How far an object was followed; empty while it is not known, and if it has not come so far. */
-function reached(/** @type {Api.FollowRunJson} */ run, /** @type {Api.FollowedTrack} */ track) {
-  if (run.state !== "done" || run.direction === "between" || track.stops.length > 0) return "";
-  if (!track.is_open) return ", to its next reviewed box";
-  return `, to the recording's ${run.direction === "backward" ? "first" : "last"} frame`;
-}
-
-/**
- * @param {State} state
- * @param {Api.FollowedTrack} track
- * @param {string} end how far it was followed.
- * @param {(target: Target) => unknown} open
- */
-function trackRow(state, track, end, open) {
-  const name = track.track_id === null ? track.label : `Track ${track.track_id} (${track.label})`;
-  const left = track.doubtful > 0 ? `, ${count(track.doubtful, "doubtful frame")} left out` : "";
-  const text = h("span.grow", `${name}: ${count(track.boxes, "box", "boxes")}${left}${end}`);
-  // the colours of tracks are too light for text
-  const dot = h("span.dot");
-  dot.style.background = trackColor(track.track_id);
-  text.prepend(dot);
-  return h(
-    "li",
-    { "data-testid": "followed" },
-    text,
-    ...track.stops.map((at) =>
-      button(
-        [h("b", `${frameName(state, at.frame_id, at.key)} →`), ` ${at.reason}`],
-        () => open({ frame: at.frame_id, uid: null }),
-        {
-          class: "stop",
-          title: `Go to this frame (${at.key}) and correct or draw the box; then follow it from there`,
-          "data-testid": "follow-go",
-          "data-frame": String(at.frame_id),
-        },
-      ),
-    ),
-  );
 }

@@ -84,7 +84,8 @@ export function createQueueList(/** @type {Annotate} */ at) {
 
   /** Shown in place of the items if there are none. */
   function nothing() {
-    const { name } = app.state.project;
+    // the project may be left already
+    const name = app.state.route.project;
     if (!queue.isFiltered)
       return [
         h(
@@ -105,6 +106,34 @@ export function createQueueList(/** @type {Annotate} */ at) {
     return [h("p", "No proposal matches the filter."), button("Show all", clear, { "data-testid": "queue-clear" })];
   }
 
+  function queueRow(/** @type {QueueItem} */ item, /** @type {boolean} */ isCurrent, /** @type {boolean} */ isDone) {
+    const isOurs = item.sources.every((name) => name === OWN);
+    const recording = app.state.project?.recordings.find(({ id }) => id === item.recording)?.name ?? "";
+    const place = `${recording}, frame ${item.number}`;
+    // as the list of the open frame has it; up is not known of other frames
+    const box = app.state.frame?.labels.find(({ uid }) => uid === item.uid)?.box;
+    const heading = box ? boxAxis(box, 0) : item.heading;
+    const title = [
+      `${isDone ? "reviewed: " : ""}${item.label ?? "Nothing is drawn yet"}, ${place} (${item.key})`,
+      isOurs ? "" : `, seen by ${item.sources.join(", ")}`,
+    ].join("");
+    const content = [
+      h("span.ellipsis.grow", item.label ?? "draw"),
+      isOurs ? null : saidBy(item.sources),
+      heading && headingMark(heading, box ? (app.state.frame?.up ?? null) : null),
+      doubtBar(item.doubt),
+      h("span.muted.place", place),
+    ];
+    const row = button(content, () => go(item), {
+      class: isDone ? "quiet row-button done" : "quiet row-button",
+      "aria-current": isCurrent ? "true" : null,
+      title,
+      "data-testid": isDone ? "queue-done" : "queue-item",
+      "data-uid": item.uid,
+    });
+    return h("li", { "data-key": keyOf(item) }, row);
+  }
+
   return {
     fill,
     show(/** @type {string | null} */ uid) {
@@ -121,15 +150,9 @@ export function createQueueList(/** @type {Annotate} */ at) {
       standing = isGoingOn ? [...standing.map((item) => open.get(keyOf(item)) ?? item), ...fresh] : queue.items;
       const at = standing.findIndex(isShown);
       const from = Math.max(0, STEP * Math.floor((at - STEP / 2) / STEP));
-      const recordings = new Map((app.state.project?.recordings ?? []).map(({ id, name }) => [id, name]));
-      // as the list of the open frame has them; up is not known of other frames
-      const shown = new Map((app.state.frame?.labels ?? []).map(({ uid, box }) => [uid, box]));
-      const rows = standing.slice(from, from + ROWS).map((item) => {
-        const box = shown.get(item.uid ?? "");
-        const heading = box ? boxAxis(box, 0) : item.heading;
-        const arrow = heading && headingMark(heading, box ? (app.state.frame?.up ?? null) : null);
-        return queueRow(item, recordings, { isCurrent: isShown(item), isDone: !open.has(keyOf(item)), arrow }, go);
-      });
+      const rows = standing
+        .slice(from, from + ROWS)
+        .map((item) => queueRow(item, isShown(item), !open.has(keyOf(item))));
       patch(list, rows.length > 0 ? rows : h("li.muted.pad", ...nothing()));
       // not again, so that an operator who looks elsewhere in the list is left there
       if (uid !== current) list.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
@@ -139,37 +162,6 @@ export function createQueueList(/** @type {Annotate} */ at) {
 }
 
 const keyOf = (/** @type {QueueItem} */ item) => item.uid ?? `frame ${item.frame}`;
-
-function queueRow(
-  /** @type {QueueItem} */ item,
-  /** @type {Map<number, string>} */ recordings,
-  /** @type {{ isCurrent: boolean, isDone: boolean, arrow: HTMLElement | null }} */ { isCurrent, isDone, arrow },
-  /** @type {(target: Target) => unknown} */ open,
-) {
-  const isOurs = item.sources.every((name) => name === OWN);
-  const place = `${recordings.get(item.recording) ?? ""}, frame ${item.number}`;
-  return h(
-    "li",
-    { "data-key": keyOf(item) },
-    button(
-      [
-        h("span.ellipsis.grow", item.label ?? "draw"),
-        isOurs ? null : saidBy(item.sources),
-        arrow,
-        doubtBar(item.doubt),
-        h("span.muted.place", place),
-      ],
-      () => open(item),
-      {
-        class: isDone ? "quiet row-button done" : "quiet row-button",
-        "aria-current": isCurrent ? "true" : null,
-        title: `${isDone ? "reviewed: " : ""}${item.label ?? "Nothing is drawn yet"}, ${place} (${item.key})${isOurs ? "" : `, seen by ${item.sources.join(", ")}`}`,
-        "data-testid": isDone ? "queue-done" : "queue-item",
-        "data-uid": item.uid,
-      },
-    ),
-  );
-}
 
 /** Such as "mine +1". */
 function saidBy(/** @type {string[]} */ [first, ...others]) {
@@ -211,13 +203,57 @@ export function createBoxList(/** @type {Annotate} */ at) {
     // once there, their places stay until another frame is shown
     const frame = app.state.frame?.frame.id ?? null;
     if (labels.filter((label) => isPictured(label) && isOpen(label) && !label.isNew).length > 1) pictured = frame;
-    const picture = (/** @type {PageLabel} */ label) =>
-      pictured === frame && isPictured(label) ? (pictures.get(label.uid) ?? "") : null;
     patch(
       list,
-      labels.map((label) => boxRow(at, label, picture(label))),
-      at.teach.unfinished.map((item) => unfinishedRow(item, at.teach)),
+      labels.map((label) => boxRow(label, pictured === frame && isPictured(label))),
+      at.teach.unfinished.map(unfinishedRow),
     );
+  }
+
+  function boxRow(/** @type {PageLabel} */ label, /** @type {boolean} */ hasPicture) {
+    const { uid, better_in } = label;
+    const problem = desk.problemOf(uid);
+    const { box } = desk.seen(label);
+    const state = problem ? "not saved" : label.isNew ? "new" : label.state;
+    const src = pictures.get(uid);
+    const content = [
+      h("span", { class: `dot state-${label.state}`, "aria-hidden": "true" }),
+      h("span", { class: `${better_in === null ? "" : "muted "}ellipsis grow` }, shortName(label, desk.labels())),
+      headingMark(boxAxis(box, 0), app.state.frame?.up ?? null, jumpText({ ...label, box })),
+      h("span", { class: problem ? "bad" : `state-${label.state}` }, state),
+      // its place is there before it is drawn
+      hasPicture && (src ? h("img.small-views", { src, alt: "" }) : h("span.small-views")),
+    ];
+    const elsewhere = better_in === null ? "" : "another camera sees it better: a double click goes there";
+    const row = button(content, () => desk.select(uid), {
+      class: "quiet row-button",
+      "aria-current": uid === desk.uid ? "true" : null,
+      title: problem ? `Not saved. ${problem}` : [valuesText(app, label), elsewhere].filter(Boolean).join(" · "),
+      "data-testid": "frame-box",
+      "data-uid": uid,
+      "data-state": label.state,
+      ondblclick: () => at.showBest(uid),
+    });
+    return h("li", { "data-key": uid }, row);
+  }
+
+  /** An object that is being drawn: it has no 3D box yet. */
+  function unfinishedRow(/** @type {Item} */ item) {
+    const { label } = item.image_box;
+    const done = progressOf(item);
+    const dots = Array.from({ length: DRAGS }, (_, i) => h("i", { class: i < done ? "on" : "" }));
+    const content = [
+      h("span.ellipsis.grow", label),
+      h("span.dots", { "aria-hidden": "true" }, dots),
+      h("span.muted", `${done} of ${DRAGS} boxes`),
+    ];
+    const row = button(content, () => at.teach.open(item), {
+      class: "quiet row-button",
+      title: "Continue on its pseudo-views",
+      "aria-current": item === at.teach.draft?.item ? "true" : null,
+    });
+    const remove = iconButton("trash", `Delete this ${label}`, () => at.teach.remove(item));
+    return h("li.row.unfinished", { "data-testid": "object", "data-boxes": done }, row, remove);
   }
 
   /** Reads the pictures of the frame as it is now. */
@@ -247,74 +283,5 @@ export function createBoxList(/** @type {Annotate} */ at) {
   };
 }
 
-/**
- * @param {Annotate} at
- * @param {PageLabel} label
- * @param {string | null} picture "": not drawn yet; null: the box has none.
- */
-function boxRow({ app, desk, showBest }, label, picture) {
-  const problem = desk.problemOf(label.uid);
-  const { box } = desk.seen(label);
-  const state = problem ? "not saved" : label.isNew ? "new" : label.state;
-  return h(
-    "li",
-    { "data-key": label.uid },
-    button(
-      [
-        h("span", { class: `dot state-${label.state}`, "aria-hidden": "true" }),
-        h(
-          "span",
-          { class: label.better_in === null ? "ellipsis grow" : "muted ellipsis grow" },
-          shortName(label, desk.labels()),
-        ),
-        headingMark(boxAxis(box, 0), app.state.frame?.up ?? null, jumpText({ ...label, box })),
-        h("span", { class: problem ? "bad" : `state-${label.state}` }, state),
-        picture !== null &&
-          (picture ? h("img", { src: picture, alt: "", class: "small-views" }) : h("span.small-views")),
-      ],
-      () => desk.select(label.uid),
-      {
-        class: "quiet row-button",
-        "aria-current": label.uid === desk.uid ? "true" : null,
-        title: problem
-          ? `Not saved. ${problem}`
-          : [valuesText(app, label), elsewhere(label)].filter(Boolean).join(" · "),
-        "data-testid": "frame-box",
-        "data-uid": label.uid,
-        "data-state": label.state,
-        ondblclick: () => showBest(label.uid),
-      },
-    ),
-  );
-}
-
 /** Boxes that another camera of the rig sees better are reviewed there. */
 const isPictured = (/** @type {PageLabel} */ { better_in }) => better_in === null;
-
-const elsewhere = (/** @type {PageLabel} */ { better_in }) =>
-  better_in === null ? "" : "another camera sees it better: a double click goes there";
-
-/** An object that is being drawn: it has no 3D box yet. */
-function unfinishedRow(/** @type {Item} */ item, /** @type {Teach} */ teach) {
-  const { label } = item.image_box;
-  const done = progressOf(item);
-  const dots = Array.from({ length: DRAGS }, (_, i) => h("i", { class: i < done ? "on" : "" }));
-  return h(
-    "li.row.unfinished",
-    { "data-testid": "object", "data-boxes": done },
-    button(
-      [
-        h("span.ellipsis.grow", label),
-        h("span.dots", { "aria-hidden": "true" }, dots),
-        h("span.muted", `${done} of ${DRAGS} boxes`),
-      ],
-      () => teach.open(item),
-      {
-        class: "quiet row-button",
-        title: "Continue on its pseudo-views",
-        "aria-current": item === teach.draft?.item ? "true" : null,
-      },
-    ),
-    iconButton("trash", `Delete this ${label}`, () => teach.remove(item)),
-  );
-}

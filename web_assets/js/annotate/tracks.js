@@ -48,8 +48,8 @@ export const OPERATIONS = {
   size: {
     text: "One size",
     key: "Z",
-    help: "All boxes get the size of this one. Each keeps its rotation, its bottom, and the sides that face the camera.",
-    of: ({ box }) => ({ do: "size", size_m: box.size }),
+    help: "All boxes get the size that fits them and their points: the reviewed ones, if there are any. Each keeps its rotation, its bottom, and the sides that face the camera.",
+    of: () => ({ do: "size" }),
   },
   values: {
     text: "Values",
@@ -63,12 +63,26 @@ export const OPERATIONS = {
     help: "Boxes are proposed between this one and those before and after it.",
     of: (label, frame, timeline) => ({ do: "fill", ...besides(timeline, label.track_id, frame) }),
   },
+  still: {
+    text: "Stands still",
+    key: "A",
+    help: "This box is that of all frames which see the object, by their points. Proposals, and reviewed boxes that agree, go.",
+    of: (_, frame) => ({ do: "still", frame }),
+  },
   delete: {
     text: "Delete on",
     key: "⇧Del",
     help: "The boxes of this frame and of all later ones are deleted.",
     of: (_, frame) => ({ do: "delete", from: frame }),
   },
+};
+
+/** In place of `OPERATIONS.still` for what stands still already. @type {typeof OPERATIONS[string]} */
+const MOVING = {
+  text: "Moves",
+  key: "A",
+  help: "The box stays in this frame. In the others that saw the object, it is a proposal.",
+  of: (_, frame) => ({ do: "moving", frame }),
 };
 
 /**
@@ -101,11 +115,19 @@ export function createTracks(/** @type {Annotate} */ at) {
       "data-testid": `track-${id}`,
     }),
   );
-  const values = acts[Object.keys(OPERATIONS).indexOf("values")];
+  const actOf = (/** @type {string} */ id) => acts[Object.keys(OPERATIONS).indexOf(id)];
+  const only = h("input", { type: "checkbox", "data-testid": "track-here" });
+  only.addEventListener("change", () => desk.setHere(only.checked));
+  const here = h(
+    "label",
+    { title: "What is changed or deleted now concerns this frame only." },
+    only,
+    " Only this frame",
+  );
   const body = h(
     "div.track",
     { hidden: true },
-    h("div.row", title, all),
+    h("div.row", title, here, all),
     h("div.row", { role: "toolbar", "aria-label": "This track" }, acts),
   );
   at.parts.track.append(body);
@@ -118,12 +140,16 @@ export function createTracks(/** @type {Annotate} */ at) {
     const id = desk.stored()?.track_id ?? null;
     body.hidden = !label || id === null;
     if (!label || id === null) return;
-    title.textContent = `Track ${id}`;
+    title.textContent = `Track ${id}${label.still ? ", stands still" : ""}`;
     // the colours of tracks are too light for text
     const dot = h("span.dot");
     dot.style.background = trackColor(id);
     title.prepend(dot);
-    values.hidden = Object.keys(label.attributes).length === 0;
+    actOf("values").hidden = Object.keys(label.attributes).length === 0;
+    actOf("still").setAttribute("aria-pressed", String(label.still));
+    here.hidden = !label.still;
+    for (const id of ["split", "merge", "fill"]) actOf(id).hidden = label.still;
+    only.checked = desk.isHere;
   }
 
   /** Goes to the next (by = 1) or previous (by = -1) frame with the same object. */
@@ -164,10 +190,10 @@ export function createTracks(/** @type {Annotate} */ at) {
     if (track === null) return app.toast("This box has no track. Enter a track id, or follow it.", "warn");
     await desk.flush();
     const { id: frame } = currentFrame(app).frame;
-    const { text, help, of } = OPERATIONS[id];
+    const { text, help, of } = id === "still" && label.still ? MOVING : OPERATIONS[id];
     const { span } = app.state;
     const selected = span?.trackId === track ? { from: span.from, to: span.to } : {};
-    const field = fieldOf(id, label, app.state.project.classes, digit);
+    const field = fieldOf(id, label, digit);
     const body = () => ({
       operation: { ...of(label, frame, app.state.timeline), ...selected, ...field?.value() },
       at: frame,
@@ -209,7 +235,7 @@ export function createTracks(/** @type {Annotate} */ at) {
         await telling;
         if (told === null) throw new Error(note.textContent);
         if (note.textContent !== read) throw new Error("Read above what this does now, then confirm it.");
-        const sent = { ...body(), told: told.count };
+        const sent = { ...body(), operation: told.operation, told: told.count };
         app.effort.action();
         return desk.enqueue(() => app.api.change(path(track), sent));
       },
@@ -217,46 +243,44 @@ export function createTracks(/** @type {Annotate} */ at) {
     if (!done) return;
     app.toast(`Track ${track}: ${done.words}.`, "good");
     await app.frames.refresh();
+    // the box of one that stands still is another one
+    if (!desk.stored()) desk.select(desk.labels().find(({ track_id }) => track_id === track)?.uid ?? null);
     // boxes of other frames may have new uids
     await at.queue.load();
     at.sheet.again();
   }
 
-  return { show, step, copyToNext, operate };
-}
+  /**
+   * What an operation needs to know beside the box: its field, what that gives, and how it shows what the server
+   * proposes.
+   *
+   * @returns {{ root: HTMLElement, value: () => object, take?: (count: Api.Count) => void } | null}
+   */
+  function fieldOf(/** @type {string} */ id, /** @type {PageLabel} */ label, /** @type {string} */ digit) {
+    if (id === "merge") {
+      const input = h("input", { type: "number", min: 0, step: 1, autofocus: true, "data-testid": "track-other" });
+      return {
+        root: field("Number of the other track", input),
+        // without a number, the server names the likeliest one
+        value: () => (input.value ? { number: input.valueAsNumber } : {}),
+        take({ number }) {
+          if (input.value) return;
+          input.value = String(number);
+          input.select();
+        },
+      };
+    }
+    if (id === "class") {
+      const names = app.state.project.classes.map((name) => [name]);
+      const chosen = app.state.project.classes[Number(digit) - 1] ?? label.label;
+      const name = select(names, { "data-testid": "track-class-name" }, chosen);
+      return { root: field("Class", name), value: () => ({ label: name.value }) };
+    }
+    if (id !== "fill") return null;
+    const box = checkbox("track-refit");
+    const root = h("label", box, " Fit each box to the points of its frame");
+    return { root, value: () => ({ refit: box.checked }) };
+  }
 
-/**
- * What an operation needs to know beside the box: its field, what that gives, and how it shows what the server proposes.
- *
- * @returns {{ root: HTMLElement, value: () => object, take?: (count: Api.Count) => void } | null}
- */
-function fieldOf(
-  /** @type {string} */ id,
-  /** @type {PageLabel} */ label,
-  /** @type {string[]} */ classes,
-  /** @type {string} */ digit,
-) {
-  if (id === "merge") {
-    const input = h("input", { type: "number", min: 0, step: 1, autofocus: true, "data-testid": "track-other" });
-    return {
-      root: field("Number of the other track", input),
-      // without a number, the server names the likeliest one
-      value: () => (input.value ? { number: input.valueAsNumber } : {}),
-      take({ number }) {
-        if (input.value) return;
-        input.value = String(number);
-        input.select();
-      },
-    };
-  }
-  if (id === "class") {
-    const names = classes.map((name) => [name]);
-    const chosen = classes[Number(digit) - 1] ?? label.label;
-    const name = select(names, { "data-testid": "track-class-name" }, chosen);
-    return { root: field("Class", name), value: () => ({ label: name.value }) };
-  }
-  if (id !== "fill") return null;
-  const box = checkbox("track-refit");
-  const root = h("label", box, " Fit each box to the points of its frame");
-  return { root, value: () => ({ refit: box.checked }) };
+  return { show, step, copyToNext, operate };
 }

@@ -9,8 +9,8 @@ const KINDS = [
   ["attribute", "Attribute", "a value is missing, does not fit, has no attribute, or differs along its track"],
   ["empty", "Hardly any points inside", "the box may be in the wrong place"],
   ["size", "Unusual size", "far from the median of the class"],
-  ["heading", "Heading jumps", "very different from the neighbouring frame"],
-  ["track", "Tracks", "one track has two boxes in a frame, or two classes"],
+  ["heading", "Heading jumps", "very different from the neighbouring frame, or against the way"],
+  ["track", "Tracks", "one track has two boxes in a frame, two classes, or jumps"],
   ["duplicate", "Overlapping boxes", "two boxes may be the same object"],
 ];
 /** Maximum number of warnings that a group lists; all are counted. */

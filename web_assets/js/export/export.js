@@ -116,19 +116,16 @@ async function begin(/** @type {ModeApp} */ app, /** @type {HTMLElement} */ body
   function show() {
     const { project } = app.state;
     if (!project) return;
-    const numbers = STATES.map(([state]) => project.labels_by_state[state] ?? 0);
-    const sum = (/** @type {(i: number) => boolean} */ isCounted) =>
-      numbers.reduce((total, number, i) => total + (isCounted(i) ? number : 0), 0);
-    counts.forEach((span, i) => {
-      span.textContent = count(numbers[i], "box");
-    });
+    const sum = (/** @type {string[]} */ ...of) =>
+      of.reduce((total, state) => total + (project.labels_by_state[state] ?? 0), 0);
+    for (const [i, [state]] of STATES.entries()) counts[i].textContent = count(sum(state), "box");
     // formats with 2D boxes can be exported without 3D labels
     const isFlat = Boolean(formats.find(({ name }) => name === format.value)?.flat);
     picturesField.hidden = !isFlat;
     division.hidden = !divide.checked;
-    const chosen = sum((i) => states[i].checked);
-    empty.hidden = sum((i) => STATES[i][0] !== "rejected") > 0;
-    form.hidden = sum(() => true) + material.image + material.view === 0;
+    const chosen = sum(...ticked(states));
+    empty.hidden = sum("accepted", "edited", "proposed") > 0;
+    form.hidden = sum(...STATES.map(([state]) => state)) + material.image + material.view === 0;
     const hasNone = chosen === 0 && !isFlat;
     note.textContent = hasNone
       ? "No boxes are in the chosen states."

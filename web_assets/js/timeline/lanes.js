@@ -116,7 +116,7 @@ export function classOf(/** @type {Lane} */ { track_id, spans }) {
 
 /** Such as "car 12". */
 export const nameOf = (/** @type {Lane} */ lane) =>
-  lane.track_id === null ? "no track" : `${classOf(lane)} ${lane.track_id}`;
+  lane.track_id === null ? "no track" : `${classOf(lane)} ${lane.track_id}${lane.still ? " (still)" : ""}`;
 
 /**
  * What the lanes show, in words: how many tracks, and the one that is selected.

@@ -294,8 +294,11 @@ export function mountTimeline(/** @type {HTMLElement} */ root, /** @type {App} *
     // from its first to its last box; gaps show this line
     context.fillStyle = isSelected ? colors.muted : colors.line;
     const [begin, end] = [xOf(lane.spans[0][0]), xOf(lane.spans[lane.spans.length - 1][1] + 1)];
-    context.fillRect(begin, middle - 0.5, end - begin, 1);
-    const least = perPlace() > 3 ? 1 : 0;
+    // one that stands still is one bar, paler where no frame sees it
+    const height = lane.still ? ROW - 5 : 1;
+    if (lane.still) Object.assign(context, { fillStyle: colorOf(classOf(lane)), globalAlpha: 0.35 });
+    context.fillRect(begin, middle - height / 2, end - begin, height);
+    const least = perPlace() > 3 && !lane.still ? 1 : 0;
     for (const [first, last, name, level] of spansIn(lane, stretch)) {
       // reviewed boxes are tall and full, proposals low and the paler the more doubtful they are
       context.globalAlpha = level === 0 ? 1 : 1.05 - 0.16 * level;
