@@ -12,7 +12,7 @@ from pathlib import Path
 from pydantic import ValidationError
 from sqlalchemy import Connection
 
-from annotator.project.adjustments import Adjustments
+from annotator.project.adjustments import Adjustments, Estimates
 from annotator.project.audit.history import History
 from annotator.project.backup.archive import MODELS_FOLDER, VIEWS_FOLDER, require_own_files
 from annotator.project.backup.make import back_up_before_upgrade
@@ -33,7 +33,6 @@ from annotator.project.config import (
     write_config,
 )
 from annotator.project.database.store import DATABASE_FILE, Clock, Store, create_store, open_store, wal_of
-from annotator.project.estimates import Estimates
 from annotator.project.frames import Frames
 from annotator.project.jobs import Jobs
 from annotator.project.labels import Labels

@@ -20,8 +20,8 @@ from datetime import UTC, datetime
 from sqlalchemy import Connection, bindparam, func, select, true
 
 from annotator.project.adjusting import Adjustment, adjustment_row
+from annotator.project.adjustments import ESTIMATED, make_stale
 from annotator.project.adjustments import KIND as ADJUSTED
-from annotator.project.adjustments import make_stale
 from annotator.project.audit.events import (
     CLASSES,
     Effort,
@@ -41,7 +41,6 @@ from annotator.project.classes.changing import BATCH, FOLLOWED, require_consiste
 from annotator.project.classes.changing import KIND as CLASSES_CHANGED
 from annotator.project.database.schema import events, frames, recordings
 from annotator.project.database.store import driver_of
-from annotator.project.estimates import KIND as ESTIMATED
 from annotator.project.frames import numbers_of
 from annotator.project.log import Writer, new_action, require_writable
 from annotator.project.recordings import removed_recordings

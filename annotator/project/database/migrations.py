@@ -398,7 +398,7 @@ CREATE TABLE sightings (
     place TEXT
 )
 """
-# Where the camera of a recording was, by its frames: estimated poses, as JSON (`estimates.py`). A rig has one such row.
+# Where the camera of a recording was, by its frames: estimated poses, as JSON (`FramePose`). A rig has one such row.
 _ESTIMATES = """
 CREATE TABLE estimates (
     recording_id INTEGER PRIMARY KEY REFERENCES recordings (id),
