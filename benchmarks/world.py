@@ -49,8 +49,8 @@ from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.settings import rcv_config
-from annotator.workflows.tracks.operations import StandStill, apply
-from annotator.workflows.tracks.still_objects import find_sightings, visible
+from annotator.workflows.tracks.operations import apply
+from annotator.workflows.tracks.still_objects import StandStill, find_sightings, visible
 from annotator.workflows.workbench.review_queue import Order, queue
 from benchmarks.report import QUIET, Options, Table, chosen, guarded, program, require
 from benchmarks.review_desk import AUTHOR, Thing, TrackKey

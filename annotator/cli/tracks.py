@@ -23,7 +23,7 @@ from annotator.workflows.tracks.follow_run import follow_recording
 from annotator.workflows.tracks.link import link_tracks
 from annotator.workflows.tracks.operations import apply
 from annotator.workflows.tracks.refit_run import RefitRun, box_fitter
-from annotator.workflows.tracks.still_objects import candidates, find_sightings
+from annotator.workflows.tracks.still_objects import Move, StandStill, candidates, find_sightings
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ready_view, view_with_classes
 
@@ -263,7 +263,7 @@ def still(
     chosen = project.recordings.find(recording).id
     at = None if frame is None else project.frames.find(chosen, frame).id
     for track in tracks:
-        _apply(project, chosen, track, operations.StandStill(frame=at), dry_run)
+        _apply(project, chosen, track, StandStill(frame=at), dry_run)
     for track, why in () if tracks else candidates(project, chosen).items():
         print_line(f"track {track} may stand still: {why}")
     if dry_run:
@@ -294,7 +294,7 @@ def moving(
     """
     chosen = project.recordings.find(recording).id
     at = None if frame is None else project.frames.find(chosen, frame).id
-    _apply(project, chosen, track, operations.Move(frame=at), dry_run)
+    _apply(project, chosen, track, Move(frame=at), dry_run)
 
 
 def _operate(

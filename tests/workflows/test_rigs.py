@@ -49,9 +49,9 @@ from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.copy_next import copy_next
 from annotator.workflows.tracks.link import link_tracks
-from annotator.workflows.tracks.operations import StandStill, apply
+from annotator.workflows.tracks.operations import apply
 from annotator.workflows.tracks.propose_boxes import boxes_of
-from annotator.workflows.tracks.still_objects import find_sightings
+from annotator.workflows.tracks.still_objects import StandStill, find_sightings
 from annotator.workflows.training.samples import gather, image_samples
 from annotator.workflows.workbench.save_object import apply_changes
 

@@ -21,9 +21,10 @@ from annotator.web.frame_json import STALE, AtFrame, InFrame, ModelResponse, pic
 from annotator.web.schemas import FrameChange, RowId, Schema, Uid, WithEffort
 from annotator.workflows.tracks.copy_next import copy_next
 from annotator.workflows.tracks.follow_run import follow_from_frame
-from annotator.workflows.tracks.operations import AnyOperation, Count, Fill, apply
+from annotator.workflows.tracks.operations import AnyOperation, Fill, apply
 from annotator.workflows.tracks.propose_boxes import boxes_of
 from annotator.workflows.tracks.refit_run import RefitRun, box_fitter
+from annotator.workflows.tracks.steps import Count
 from annotator.workflows.workbench.contact_sheet import SeenBox, accept_boxes
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import Sight, sights

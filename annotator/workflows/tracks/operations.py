@@ -7,16 +7,15 @@ reviewed box changes only if the count says so. An open proposal does not change
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from itertools import pairwise
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
-from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import same_box
 from annotator.project import REVIEWED, Effort, Project, StoredFrame, StoredLabel, WriteContext, new_action
 from annotator.project.changes import (
@@ -24,10 +23,7 @@ from annotator.project.changes import (
     LabelChanged,
     LabelDeleted,
     NewLabel,
-    Origin,
     Payload,
-    StillEnded,
-    StillMade,
 )
 from annotator.project.classes.attributes import Attribute, AttributeOf
 from annotator.project.lanes import read_lanes
@@ -35,166 +31,30 @@ from annotator.project.stills import Sighting
 from annotator.tracking.common_size import SizedBox, common_size
 from annotator.tracking.link import MAX_GAP, MOTION_BOXES, predicted
 from annotator.tracking.smooth import between
-from annotator.types import OrientedBox, ReviewState
-from annotator.types.bases import Strict, TrackId
+from annotator.types import OrientedBox
+from annotator.types.bases import TrackId
 from annotator.types.errors import ConfigError, NotFoundError, RecordingError, StaleRevisionError
 from annotator.types.label import MOST_TRACK, AttributeValue
-from annotator.types.messages import alternatives, amount
+from annotator.types.messages import alternatives
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.tracks.propose_boxes import Surroundings, changed_box, proposal_events, proposal_like
+from annotator.workflows.tracks.propose_boxes import changed_box, proposal_events, proposal_like
+from annotator.workflows.tracks.steps import (
+    COVERED,
+    FINALISED,
+    GIVEN,
+    Count,
+    OfSpan,
+    Size,
+    Step,
+    Track,
+    is_rejected,
+)
+from annotator.workflows.tracks.still_objects import Move, StandStill
 from annotator.workflows.tracks.timeline import Motion, OpenRecording, Timeline
 from annotator.workflows.workbench.save_object import frame_parts, parts_of_frames
 
-Length = Annotated[float, Field(ge=1e-4, le=1e4, allow_inf_nan=False)]
-Size = tuple[Length, Length, Length]
 
-
-class Count(Strict):
-    """What an operation does: numbers of boxes.
-
-    `reviewed`: of those that are changed or deleted. Unchanged: `finalised` boxes, or frames to fill, in finalised
-    frames, and `covered` ones where the object is labelled already, or was rejected. `number`, `size_m`: what the boxes
-    get; `joined`: how many boxes have the number before.
-    """
-
-    changed: int = 0
-    proposed: int = 0
-    deleted: int = 0
-    reviewed: int = 0
-    finalised: int = 0
-    covered: int = 0
-    number: int | None = None
-    joined: int = 0
-    size_m: Size | None = None
-
-    def words(self) -> str:
-        """Such as "changes 25 boxes, 3 of them reviewed; unchanged: 2 in finalised frames"."""
-        if self.proposed:
-            replaced = f" in place of {amount(self.deleted, 'other proposal')}" if self.deleted else ""
-            said = f"proposes {amount(self.proposed, 'box')}{replaced}"
-        else:
-            done = ("changes", self.changed), ("deletes", self.deleted)
-            said = " and ".join(f"{verb} {amount(number, 'box')}" for verb, number in done if number)
-            said += f", {self.reviewed or 'none'} of them reviewed"
-        if self.number is not None:
-            of_track = f"that of {amount(self.joined, 'other box')}" if self.joined else "a new one"
-            said += f"; their number is {self.number}, {of_track}"
-        if self.size_m is not None:
-            said += f"; they get {' x '.join(f'{side:.2f}' for side in self.size_m)} m"
-        return f"{said}; unchanged: {self.left()}" if self.left() else said
-
-    def left(self) -> str:
-        """What stays as it is, and why."""
-        kinds = (self.finalised, "in finalised frames"), (self.covered, "where a box is reviewed or rejected already")
-        return ", ".join(f"{number} {why}" for number, why in kinds if number)
-
-
-@dataclass(frozen=True)
-class Step:
-    """What an operation does in one frame.
-
-    Attributes:
-        count: of this frame.
-        sees: uid of an object that stands still from now on; this frame has had a box of it.
-    """
-
-    frame: StoredFrame
-    events: Sequence[Payload]
-    count: Count
-    sees: str | None = None
-
-
-# Of a `Count`: what the boxes get, not how many they are.
-GIVEN = ("number", "size_m")
-FINALISED, COVERED = Count(finalised=1), Count(covered=1)
-
-
-def is_rejected(stored: StoredLabel) -> bool:
-    """Whether a person has rejected a box."""
-    return stored.label.state is ReviewState.REJECTED
-
-
-class Track:
-    """A track as a recording sees it, within a span of frames."""
-
-    def __init__(
-        self, project: Project, recording_id: int, track_id: int, span: Operation, recordings: OpenRecording | None
-    ) -> None:
-        recording = project.recordings.get(recording_id)
-        self.project, self.recording_id, self.track_id, self.recordings = project, recording_id, track_id, recordings
-        self.name = f"track {track_id} of {recording.name}"
-        self.frames = {frame.id: frame for frame in project.frames.of([recording_id])}
-        if not self.frames:
-            raise NotFoundError(f"{recording.name} has no frames in the project")
-        self.is_whole = span.first is None and span.last is None
-        # a frame that is no longer in the recording is neither before nor after another one
-        places = {id: frame.index for id, frame in self.frames.items() if frame.index is not None}
-        for end in (span.first, span.last):
-            if end is not None and end not in places:
-                raise NotFoundError(f"{recording.name} has no frame with id {end}")
-        first = 0 if span.first is None else places[span.first]
-        last = max(places.values(), default=0) if span.last is None else places[span.last]
-        if first > last:
-            raise ConfigError("the span ends before it begins; give the earlier frame first")
-        self.inside = {id for id in self.frames if self.is_whole or first <= places.get(id, -1) <= last}
-
-    @cached_property
-    def boxes(self) -> list[tuple[StoredFrame, StoredLabel]]:
-        """Its boxes in order, without rejected ones."""
-        return self.boxes_of(self.track_id)
-
-    def boxes_of(self, track_id: int) -> list[tuple[StoredFrame, StoredLabel]]:
-        """The boxes of another track, as `boxes`."""
-        found = dict[str, StoredLabel]()
-        for each in self.project.labels.along(self.recording_id, tracks=[track_id]):
-            if not is_rejected(each):
-                # one that stands still has the same box in all frames
-                found.setdefault(each.still or each.label.uid, each)
-        return [(self.frames[each.frame_id], each) for each in found.values()]
-
-    def of_frames(self) -> list[tuple[StoredFrame, StoredLabel]]:
-        """Its box in each frame, rejected ones too."""
-        along = self.project.labels.along(self.recording_id, tracks=[self.track_id])
-        return [(self.frames[each.frame_id], each) for each in along]
-
-    def in_span(self) -> list[tuple[StoredFrame, StoredLabel]]:
-        """Its boxes in the span."""
-        return [(frame, stored) for frame, stored in self.boxes if frame.id in self.inside]
-
-    def around(self, boxes: Iterable[tuple[StoredFrame, OrientedBox]] | None = None) -> Surroundings:
-        """The surroundings of its boxes in the span, or of others that it is to have."""
-        boxes = ((frame, stored.label.box) for frame, stored in self.in_span()) if boxes is None else boxes
-        return Surroundings(self.project, [(frame, box, self.track_id) for frame, box in boxes])
-
-    def each(self, there: Surroundings, change: Change) -> Iterator[Step]:
-        """Yields what a function does to each of its boxes in the span: None, if that one needs no change."""
-        for frame, stored in self.in_span():
-            if (events := change(frame, stored)) is None:
-                continue
-            if there.is_finalised(frame, stored):
-                yield Step(frame, (), FINALISED)
-            elif not events:
-                yield Step(frame, (), COVERED)
-            else:
-                gone = sum(isinstance(each, LabelDeleted) and each.uid != stored.label.uid for each in events)
-                reviewed = stored.label.state in REVIEWED
-                yield Step(frame, events, Count(changed=1, deleted=gone, reviewed=reviewed))
-
-
-Change = Callable[[StoredFrame, StoredLabel], Sequence[Payload] | None]
-FrameId = Annotated[int, Field(ge=0, le=2**53)]
-
-
-class _OfSpan(Strict):
-    """From one frame of the recording to another (ids), both included; None: from the first, to the last."""
-
-    model_config = ConfigDict(populate_by_name=True)
-
-    first: FrameId | None = Field(None, alias="from")
-    last: FrameId | None = Field(None, alias="to")
-
-
-class SetClass(_OfSpan):
+class SetClass(OfSpan):
     """All boxes get a class."""
 
     do: Literal["class"] = "class"
@@ -215,7 +75,7 @@ class SetClass(_OfSpan):
         return track.each(there, change)
 
 
-class SetNumber(_OfSpan):
+class SetNumber(OfSpan):
     """The boxes get the number of another track, which may have boxes, or (null) a new one: this splits and merges.
 
     In a frame where both tracks have a box, the reviewed one stays, or else that of this track; the other is deleted.
@@ -247,7 +107,7 @@ class SetNumber(_OfSpan):
                 yield Step(frame, [LabelDeleted(uid=other.label.uid), numbered], count)
 
 
-class Merge(_OfSpan):
+class Merge(OfSpan):
     """As `SetNumber`, with the number of another track; null = that of the likeliest one (`likeliest`)."""
 
     do: Literal["merge"] = "merge"
@@ -305,7 +165,7 @@ def likeliest(track: Track) -> int | None:
 MOST_MEASURED = 20
 
 
-class SetSize(_OfSpan):
+class SetSize(OfSpan):
     """All boxes get one size (length, width, height), metres, as a rigid object has it; see `resized`.
 
     Attributes:
@@ -355,7 +215,7 @@ def resized(box: OrientedBox, size_m: Sequence[float]) -> OrientedBox:
     return OrientedBox.from_parts(center_m, box.rotation, 2 * new_m)
 
 
-class SetValues(_OfSpan):
+class SetValues(OfSpan):
     """The boxes get values of attributes; null removes one. Those of an attribute of tracks are for whole tracks."""
 
     do: Literal["values"] = "values"
@@ -393,7 +253,7 @@ class SetValues(_OfSpan):
             raise ConfigError(str(error)) from error
 
 
-class Delete(_OfSpan):
+class Delete(OfSpan):
     """The boxes are removed; the object may be proposed again."""
 
     do: Literal["delete"] = "delete"
@@ -403,7 +263,7 @@ class Delete(_OfSpan):
             yield replace(step, count=step.count.model_copy(update={"changed": 0, "deleted": step.count.changed}))
 
 
-class Fill(_OfSpan):
+class Fill(OfSpan):
     """A box is proposed in each frame that has none and is between two boxes of the track.
 
     Centre, size and rotation are interpolated in the world, by the frames' times if they are recorded, else by their
@@ -440,87 +300,6 @@ class Fill(_OfSpan):
                 yield Step(frame, events, Count(proposed=1, deleted=gone))
             else:
                 yield Step(frame, (), COVERED)
-
-
-# 3D IoU from which two boxes are of an object at one place.
-AGREE_IOU = 0.6
-
-
-class StandStill(_OfSpan):
-    """The object stands still: its box in a frame becomes the one in the world, which all frames that see it show.
-
-    Open proposals in other frames go, and so do reviewed boxes that agree with it (3D IoU `AGREE_IOU`); there it is
-    seen in any case. Other boxes stay, as exceptions.
-
-    Attributes:
-        frame: id of the frame whose box is taken; None = the first one with a reviewed box.
-    """
-
-    do: Literal["still"] = "still"
-    frame: FrameId | None = None
-
-    def steps(self, track: Track) -> Iterator[Step]:
-        boxes, T_camera_world = track.of_frames(), track.project.stills.poses(track.recording_id)
-        if any(each.still is not None for _, each in boxes):
-            raise ConfigError(f"{track.name} stands still already")
-        frame, chosen = self._chosen(track, T_camera_world)
-        box, made = chosen.label.box.transformed(T_camera_world[frame.id].inv()), StillMade(uid=chosen.label.uid)
-        yield Step(frame, [made], Count(changed=1, reviewed=chosen.label.state in REVIEWED), made.still)
-        there = track.around()
-        for other, stored in boxes:
-            if other.id == frame.id:
-                continue
-            is_reviewed, T = stored.label.state in REVIEWED, T_camera_world.get(other.id)
-            agrees = T is not None and iou_3d(stored.label.box, box.transformed(T)) >= AGREE_IOU
-            if is_rejected(stored) or (is_reviewed and not agrees):
-                yield Step(other, (), COVERED)
-            elif there.is_finalised(other, stored):
-                yield Step(other, (), FINALISED)
-            else:
-                gone = [LabelDeleted(uid=stored.label.uid)]
-                yield Step(other, gone, Count(deleted=1, reviewed=is_reviewed), made.still if is_reviewed else None)
-
-    def _chosen(self, track: Track, posed: Container[int]) -> tuple[StoredFrame, StoredLabel]:
-        if self.frame is None:
-            which, there = "reviewed box", [pair for pair in track.boxes if pair[1].label.state in REVIEWED]
-        else:
-            which, there = "box in this frame", [pair for pair in track.boxes if pair[0].id == self.frame]
-        if not there:
-            raise ConfigError(f"{track.name} has no {which}")
-        if (found := next((pair for pair in there if pair[0].id in posed), None)) is None:
-            raise ConfigError(
-                f"{track.name} cannot stand still: the recording does not say where its camera was; `annotator poses "
-                "--estimate` finds it; or add it again if its files do"
-            )
-        return found
-
-
-class Move(_OfSpan):
-    """The object moves: its one box in the world becomes a box of each frame that sees it.
-
-    It stays reviewed in one frame, and in finalised ones; in the others it is a proposal, which the correction of the
-    next box moves along.
-
-    Attributes:
-        frame: id of the frame in which it stays; None = the first one.
-    """
-
-    do: Literal["moving"] = "moving"
-    frame: FrameId | None = None
-
-    def steps(self, track: Track) -> Iterator[Step]:
-        ones = [(frame, each) for frame, each in track.of_frames() if each.still is not None]
-        if not ones:
-            raise ConfigError(f"{track.name} does not stand still, or no frame was found that sees it")
-        first = next((pair for pair in ones if self.frame in (None, pair[0].id)), None)
-        if first is None:
-            raise NotFoundError(f"{track.name} has no box in this frame")
-        for frame, each in sorted(ones, key=lambda pair: pair[0].id != first[0].id):
-            ended: list[Payload] = [StillEnded(uid=each.label.uid)] if frame.id == first[0].id else []
-            new = proposal_like(each.label, each.label.box, track.track_id, origin=Origin.COPIED)
-            if stays := bool(ended) or frame.finalised:
-                new = replace(new, state=each.label.state, origin=None)
-            yield Step(frame, [*ended, new], Count(changed=stays, proposed=not stays))
 
 
 Operation = SetClass | SetNumber | Merge | SetSize | SetValues | Delete | Fill | StandStill | Move

@@ -7,8 +7,10 @@ moment is the exception there.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
+from dataclasses import replace
 from itertools import groupby
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -18,16 +20,97 @@ from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import in_frustum
 from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel
+from annotator.project.changes import LabelDeleted, Origin, Payload, StillEnded, StillMade
 from annotator.project.stills import Sighting, StillObject
 from annotator.types import Frame, OrientedBox
-from annotator.types.errors import RecordingError
+from annotator.types.errors import ConfigError, NotFoundError, RecordingError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.tracks.operations import AGREE_IOU
+from annotator.workflows.tracks.propose_boxes import proposal_like
+from annotator.workflows.tracks.steps import COVERED, FINALISED, Count, FrameId, OfSpan, Step, Track, is_rejected
 
 # Boxes of a track are compared if they are at least so many frames apart: what moves slowly agrees with itself before.
 LEAST_APART = 5
 # A moment sees an object by so many points in its box, unless more than this share of its outline has nearer points.
 LEAST_POINTS, MOST_HIDDEN = 2, 0.95
+# 3D IoU from which two boxes are of an object at one place.
+AGREE_IOU = 0.6
+
+
+class StandStill(OfSpan):
+    """The object stands still: its box in a frame becomes the one in the world, which all frames that see it show.
+
+    Open proposals in other frames go, and so do reviewed boxes that agree with it (3D IoU `AGREE_IOU`); there it is
+    seen in any case. Other boxes stay, as exceptions.
+
+    Attributes:
+        frame: id of the frame whose box is taken; None = the first one with a reviewed box.
+    """
+
+    do: Literal["still"] = "still"
+    frame: FrameId | None = None
+
+    def steps(self, track: Track) -> Iterator[Step]:
+        boxes, T_camera_world = track.of_frames(), track.project.stills.poses(track.recording_id)
+        if any(each.still is not None for _, each in boxes):
+            raise ConfigError(f"{track.name} stands still already")
+        frame, chosen = self._chosen(track, T_camera_world)
+        box, made = chosen.label.box.transformed(T_camera_world[frame.id].inv()), StillMade(uid=chosen.label.uid)
+        yield Step(frame, [made], Count(changed=1, reviewed=chosen.label.state in REVIEWED), made.still)
+        there = track.around()
+        for other, stored in boxes:
+            if other.id == frame.id:
+                continue
+            is_reviewed, T = stored.label.state in REVIEWED, T_camera_world.get(other.id)
+            agrees = T is not None and iou_3d(stored.label.box, box.transformed(T)) >= AGREE_IOU
+            if is_rejected(stored) or (is_reviewed and not agrees):
+                yield Step(other, (), COVERED)
+            elif there.is_finalised(other, stored):
+                yield Step(other, (), FINALISED)
+            else:
+                gone = [LabelDeleted(uid=stored.label.uid)]
+                yield Step(other, gone, Count(deleted=1, reviewed=is_reviewed), made.still if is_reviewed else None)
+
+    def _chosen(self, track: Track, posed: Container[int]) -> tuple[StoredFrame, StoredLabel]:
+        if self.frame is None:
+            which, there = "reviewed box", [pair for pair in track.boxes if pair[1].label.state in REVIEWED]
+        else:
+            which, there = "box in this frame", [pair for pair in track.boxes if pair[0].id == self.frame]
+        if not there:
+            raise ConfigError(f"{track.name} has no {which}")
+        if (found := next((pair for pair in there if pair[0].id in posed), None)) is None:
+            raise ConfigError(
+                f"{track.name} cannot stand still: the recording does not say where its camera was; `annotator poses "
+                "--estimate` finds it; or add it again if its files do"
+            )
+        return found
+
+
+class Move(OfSpan):
+    """The object moves: its one box in the world becomes a box of each frame that sees it.
+
+    It stays reviewed in one frame, and in finalised ones; in the others it is a proposal, which the correction of the
+    next box moves along.
+
+    Attributes:
+        frame: id of the frame in which it stays; None = the first one.
+    """
+
+    do: Literal["moving"] = "moving"
+    frame: FrameId | None = None
+
+    def steps(self, track: Track) -> Iterator[Step]:
+        ones = [(frame, each) for frame, each in track.of_frames() if each.still is not None]
+        if not ones:
+            raise ConfigError(f"{track.name} does not stand still, or no frame was found that sees it")
+        first = next((pair for pair in ones if self.frame in (None, pair[0].id)), None)
+        if first is None:
+            raise NotFoundError(f"{track.name} has no box in this frame")
+        for frame, each in sorted(ones, key=lambda pair: pair[0].id != first[0].id):
+            ended: list[Payload] = [StillEnded(uid=each.label.uid)] if frame.id == first[0].id else []
+            new = proposal_like(each.label, each.label.box, track.track_id, origin=Origin.COPIED)
+            if stays := bool(ended) or frame.finalised:
+                new = replace(new, state=each.label.state, origin=None)
+            yield Step(frame, [*ended, new], Count(changed=stays, proposed=not stays))
 
 
 # --- which moments see it ---------------------------------------------------------------------------------------------

@@ -25,8 +25,8 @@ from annotator.workflows.add_recordings import add_recordings, register_recordin
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.poses import estimate_poses, poses_of
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.tracks.operations import Move, StandStill, apply
-from annotator.workflows.tracks.still_objects import find_sightings
+from annotator.workflows.tracks.operations import apply
+from annotator.workflows.tracks.still_objects import Move, StandStill, find_sightings
 
 ANN, BOB, FRAMES, STILL = "ann", "bob", 8, 3
 Made = Callable[[str, Callable[[Path], object]], Path]

@@ -17,17 +17,8 @@ from annotator.project.records import BoxRecord
 from annotator.types import Label, OrientedBox, ReviewState
 from annotator.types.errors import ConfigError, NotFoundError, TrackTakenError
 from annotator.workflows.tracks import operations, timeline
-from annotator.workflows.tracks.operations import (
-    Count,
-    Delete,
-    Merge,
-    SetClass,
-    SetNumber,
-    SetSize,
-    SetValues,
-    apply,
-    resized,
-)
+from annotator.workflows.tracks.operations import Delete, Merge, SetClass, SetNumber, SetSize, SetValues, apply, resized
+from annotator.workflows.tracks.steps import Count
 from annotator.workflows.workbench.save_object import apply_changes
 
 OPEN, ACCEPTED = ReviewState.PROPOSED, ReviewState.ACCEPTED

@@ -20,8 +20,8 @@ from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.exporting import ExportFormat, export_project
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.tracks.operations import Delete, Fill, Move, SetClass, SetNumber, StandStill, apply
-from annotator.workflows.tracks.still_objects import candidates, find_sightings
+from annotator.workflows.tracks.operations import Delete, Fill, SetClass, SetNumber, apply
+from annotator.workflows.tracks.still_objects import Move, StandStill, candidates, find_sightings
 
 ANN, FRAMES, STILL = "ann", 8, 3
 AHEAD = np.array([1.0, 0.0, 0.0])

@@ -33,9 +33,10 @@ from annotator.workflows.tracks.copy_next import copy_next
 from annotator.workflows.tracks.follow_run import Following
 from annotator.workflows.tracks.key_frames import corrected_alike
 from annotator.workflows.tracks.link import AUTHOR, link_tracks
-from annotator.workflows.tracks.operations import Count, Fill, apply
+from annotator.workflows.tracks.operations import Fill, apply
 from annotator.workflows.tracks.propose_boxes import around, proposal_events, write
 from annotator.workflows.tracks.refit_run import RefitRun, box_fitter
+from annotator.workflows.tracks.steps import Count
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.save_object import apply_changes, copy_boxes
 
