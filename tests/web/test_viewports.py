@@ -110,6 +110,7 @@ def test_missing_projects_frames_and_viewports(live: Any) -> None:
     assert live.client.post("/api/workbench", json={"project": "nowhere"}).status_code == 404
     viewport = opened(live)
     assert show(live, viewport, frame=987654).status_code == 404
+    assert show(live, viewport, frame=1, ahead=987654).is_success, "what may be shown next is gone"
     assert live.client.get(f"/viser/{viewport}/%2e%2e/%2e%2e/pyproject.toml").status_code == 404
     assert live.client.delete(f"/api/workbench/{viewport}").status_code == 204
     assert show(live, viewport, frame=None).status_code == 404

@@ -19,7 +19,7 @@ from starlette.responses import Response
 from annotator.project import Project
 from annotator.project.overview import read_page
 from annotator.types import BoxKind, Label, OrientedBox, ReviewState
-from annotator.types.errors import NotFoundError
+from annotator.types.errors import AnnotatorError, NotFoundError
 from annotator.web.background import Periodic
 from annotator.web.context import Ctx, Operator
 from annotator.web.schemas import MOST_BOXES, Box2DJson, Box3DJson, ClassName, Planes, RowId, Schema, Uid
@@ -333,7 +333,6 @@ async def viser_socket(id: str, socket: WebSocket, operator: Operator, viewports
 
 def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> SceneContent:
     opened = ctx.caches.frames.open(project, frame_id)
-    ahead = None if body.ahead is None else ctx.caches.frames.open(project, body.ahead)
     page = read_page(project, frame_id)
     labels = [stored.label for stored in page.labels]
     return SceneContent(
@@ -352,8 +351,17 @@ def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> S
         look=body.look,
         theme=body.theme,
         ground=opened.ground,
-        ahead=None if ahead is None else Ahead(ahead.frame, ahead.ground),
+        ahead=None if body.ahead is None else _ahead(ctx, project, body.ahead),
     )
+
+
+def _ahead(ctx: Ctx, project: Project, frame_id: int) -> Ahead | None:
+    """A frame that may be shown next; None if it cannot be read, or is gone: whoever opens it is told."""
+    try:
+        opened = ctx.caches.frames.open(project, frame_id)
+    except AnnotatorError:
+        return None
+    return Ahead(opened.frame, opened.ground)
 
 
 def _boxes(labels: Sequence[Label], previews: Sequence[PreviewJson], colors: Mapping[str, str]) -> tuple[ShownBox, ...]:
