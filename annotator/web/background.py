@@ -203,17 +203,20 @@ class Sights(Periodic):
     def __init__(self, context: Context) -> None:
         super().__init__("still objects", SIGHTS_EVERY_S, self.look)
         self._context = context
-        # the version of each rig's still objects for which all was looked at
-        self._done = WeakKeyDictionary[Project, dict[int, tuple[int, int]]]()
+        # for which still objects of each rig, and among how many frames of the project, all was looked at
+        self._done = WeakKeyDictionary[Project, dict[int, tuple[tuple[int, int], int]]]()
 
     def look(self) -> None:
         """Looks at every project that a page has open, until its still objects change or the server ends."""
         for name in filter(self._context.is_open, self._context.hub.projects()):
             try:
                 project = self._context.project(name)
-                for rig, version in project.stills.versions().items():
-                    if self._done.setdefault(project, {}).get(rig) != version and self._look(name, project, rig):
-                        self._done[project][rig] = version
+                stills = project.stills.versions()
+                frames = project.frames.count_present() if stills else 0
+                for rig, version in stills.items():
+                    known = version, frames
+                    if self._done.setdefault(project, {}).get(rig) != known and self._look(name, project, rig):
+                        self._done[project][rig] = known
             except AnnotatorError as error:
                 LOG.warning("%s: its still objects could not be looked for: %s", name, error)
 

@@ -119,8 +119,15 @@ def test_what_cannot_be_followed_is_refused(
 
 
 def test_an_object_that_stands_still_is_looked_for_in_all_frames(live: Live, project: Project, generated: Path) -> None:
+    last = project.frames.of()[-1]
+
+    def scan(position: int | None) -> None:
+        with project.store.write() as connection:
+            connection.exec_driver_sql("UPDATE frames SET position = ? WHERE id = ?", (position, last.id))
+
     with project.store.write() as connection:
         connection.exec_driver_sql("UPDATE frames SET world = ?", (json.dumps(np.eye(4).tolist()),))
+    scan(None)
     (uid,) = accept_truth(project, generated)
     changed = change(live.client, 1, {"kind": "track", "uid": uid, "track_id": 7}).json()
     assert [label["still"] for label in changed["labels"]] == [False]
@@ -135,6 +142,9 @@ def test_an_object_that_stands_still_is_looked_for_in_all_frames(live: Live, pro
         assert live.client.post(path, json={"operation": operation, "told": told}).status_code == 200
         heard(messages)
         # by the clouds: the person walks on, and stands in the way of what was there only for a moment
+        wait_until(lambda: not project.stills.unsighted(1))
+        # a frame that a later scan finds
+        scan(last.index)
         wait_until(lambda: not project.stills.unsighted(1))
         seen = [each.frame_id for each in project.labels.along(1, tracks=[7])]
         assert {1} < set(seen)
