@@ -555,6 +555,8 @@ type Change = {
  * are the values being sent, `sent` is whether that succeeds.
  */
 type LabelDraft = {
+  /** Of an object that stands still: only in this frame. */
+  here: boolean;
   wanted: Wanted;
   base: Wanted & { uid: string };
   revision: number;

@@ -41,7 +41,7 @@ export function fakeApp({ state = {}, ...api } = {}) {
     state: values,
     path: (...parts) => parts.join("/"),
     toast: (message) => told.push(message instanceof Error ? message.message : message),
-    frames: { take: () => true, of: async () => values.frame },
+    frames: { take: () => true, of: async () => values.frame, giveUp() {} },
   };
 }
 

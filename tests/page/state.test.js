@@ -68,6 +68,29 @@ test("a frame that could not be read again is still behind", async () => {
   assert.equal(frames.isBehind, true);
 });
 
+test("what is missed while a frame is read is read again, and what was asked for before is not kept", async () => {
+  const answers = [];
+  const get = () => answers.push(held()) && answers.at(-1).promise;
+  const app = fakeApp({ get });
+  const frames = createFrameState(app);
+  const opened = frames.open(1);
+  frames.miss();
+  answers[0].resolve(frameState(3));
+  await opened;
+  assert.equal(frames.isBehind, true);
+  const refreshed = frames.refresh();
+  frames.miss();
+  answers[1].resolve(frameState(3));
+  await refreshed;
+  assert.equal(frames.isBehind, true);
+  const prepared = frames.prepare(2, null);
+  frames.giveUp();
+  answers[2].resolve(frameState(3, [], 2));
+  await prepared;
+  void frames.open(2, null);
+  assert.equal(answers.length, 4, "it may be older than what has changed it");
+});
+
 test("what was read ahead is opened at once, and is behind until it is read again", async () => {
   const asked = [];
   const app = fakeApp({ get: async (path) => asked.push(path) && frameState(3, [], 2) });
@@ -279,6 +302,26 @@ test("a draft that could not be saved is kept with its reason until it is saved 
   assert.equal(desk.unsaved, null);
 });
 
+test("a change for one frame only stays so when it is tried again, also after another box was selected", async () => {
+  const [sent, labels] = [[], ["a", "b"].map((uid) => ({ uid, label: "person", box: BOX, track_id: 1, still: true }))];
+  const { app, desk } = deskOf(async (_, { changes: [{ here }] }) => {
+    sent.push(here);
+    if (sent.length < 3) throw new ApiError(0, "", "The server does not respond");
+    return { ...frameState(4, labels), moved: 0 };
+  });
+  app.state.frame = frameState(3, labels);
+  desk.settle();
+  desk.setHere(true);
+  await desk.edit({ box: LONGER });
+  desk.select("b");
+  assert.equal(desk.isHere, false);
+  await desk.retry("a");
+  desk.select("a");
+  assert.equal(desk.isHere, true);
+  await desk.commit();
+  assert.deepEqual(sent, [true, true, true]);
+});
+
 test("the frame is changed by one request after the other, each with the newest revision", async () => {
   const [answers, sent] = [[held(), held()], []];
   const { desk } = deskOf((_, { revision, changes: [{ kind }] }) => {
@@ -349,14 +392,14 @@ test("a draft of a box that others have changed meanwhile is sent as one of the 
 // -- going on before a decision is saved
 
 /** Annotate in its queue, on the first of frames 1, 2, ..., which have a proposal each: "a", "b", ...; all are known. */
-async function reviewOf(uids, change) {
+async function reviewOf(uids, change, more = {}) {
   const values = new Map();
   globalThis.sessionStorage = {
     setItem: (name, value) => values.set(name, value),
     getItem: (name) => values.get(name),
     removeItem: (name) => values.delete(name),
   };
-  const label = { label: "person", box: BOX, track_id: null, state: "proposed", better_in: null, doubt: 0 };
+  const label = { label: "person", box: BOX, track_id: null, state: "proposed", better_in: null, doubt: 0, ...more };
   const stateOf = (id, revision = 3, state = "proposed") =>
     frameState(revision, [{ ...label, uid: uids[id - 1], state }], id);
   const get = async (path) => {
@@ -381,10 +424,10 @@ async function reviewOf(uids, change) {
   });
   const teach = { accept: () => false, unsaved: null };
   const at = { app, desk, queue, opening, teach, image: { isBusy: false }, parts: { root: { isConnected: true } } };
-  const { keys } = createCommands({ ...at, areas: {} });
+  const { keys } = createCommands({ ...at, areas: {}, picker: { label: "person" } });
   await opening.begin();
   for (const [i, uid] of uids.entries()) await app.frames.prepare(i + 1, uid);
-  return { app, queue, press: () => keys.accept(""), stateOf };
+  return { app, desk, queue, keys, press: () => keys.accept(""), stateOf };
 }
 
 test("the queue's next box is there before the one before is saved, and each press means the box on the screen", async () => {
@@ -427,6 +470,55 @@ test("what is refused is shown again, the first one if there are several, and al
   assert.deepEqual(app.told, Array(2).fill("The server does not respond"));
   assert.deepEqual(queue.items.map(({ uid }) => uid).sort(), ["a", "b", "c"]);
   assert.equal(queue.remaining, 3);
+});
+
+test("a decision is based on what was on the screen, however many frames were opened since", async () => {
+  const [answers, sent] = [[held(), held()], []];
+  const { app, press, stateOf } = await reviewOf(["a", "b", "c"], (_, { revision }) => {
+    sent.push(revision);
+    return answers[sent.length - 1].promise;
+  });
+  const presses = [press(), settled().then(press)];
+  await settled();
+  await settled();
+  app.frames.miss();
+  app.api.get = async () => stateOf(2, 9);
+  answers[0].resolve(stateOf(1, 4, "accepted"));
+  answers[1].resolve(stateOf(2, 4, "accepted"));
+  await Promise.all(presses);
+  assert.deepEqual(sent, [3, 3], "others have changed the second frame, so that the server refuses this");
+});
+
+test("what other frames show, too, is saved before one of them is opened, and that one is read anew", async () => {
+  const [answer, asked] = [held(), []];
+  const { app, desk, press, stateOf } = await reviewOf(["a", "b"], () => answer.promise, { still: true });
+  app.api.get = async (path) => asked.push(path) && stateOf(2, 4);
+  const pressed = press();
+  await settled();
+  assert.equal(app.state.frame.frame.id, 1);
+  answer.resolve({ ...stateOf(1, 4, "accepted"), moved: 0 });
+  await pressed;
+  assert.equal(asked[0], "frames/2?best_for=b");
+  const { id, revision } = app.state.frame.frame;
+  assert.deepEqual([id, revision, desk.uid], [2, 4, "b"]);
+});
+
+test("a box of what nobody labelled makes place for the next one, unless it was corrected", async () => {
+  const { app, desk, keys } = await reviewOf(["a"], () => {});
+  let distance = 0;
+  app.viewport = { showUnlabelled: () => false, look() {} };
+  app.api.post = async (_, { beyond }) => {
+    assert.equal(beyond, distance);
+    distance += 1;
+    return { box: BOX, outline: [], label: null, note: null, too_few_points: false, distance };
+  };
+  const added = () => desk.labels().flatMap(({ uid, isNew }) => (isNew ? uid : []));
+  await keys.unlabelled("");
+  await keys.unlabelled("");
+  assert.deepEqual(added(), ["new-2"]);
+  await desk.edit({ box: LONGER });
+  await keys.unlabelled("");
+  assert.deepEqual(added(), ["new-2", "new-3"]);
 });
 
 // -- other things that are waited for

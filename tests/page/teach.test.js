@@ -137,6 +137,22 @@ test("what could not be sent waits, with the problem, until it is tried again or
   assert.deepEqual([saver.problem, saver.isBusy], [null, false]);
 });
 
+test("what is saved after others were discarded is sent, also while one of them is on its way", async () => {
+  const [answer, sent] = [held(), []];
+  const { saver } = saverOf(async (_, { revision, changes }) => {
+    sent.push(changes[0].kind);
+    if (sent.length === 1) await answer.promise;
+    return frameState(revision + 1);
+  });
+  saver.save(plain("finalise"));
+  await settled();
+  saver.discard();
+  saver.save(plain("reopen"));
+  answer.resolve();
+  await saver.idle();
+  assert.deepEqual(sent, ["finalise", "reopen"]);
+});
+
 test("a box whose class gets a new name while it is refused is sent again with that name", async () => {
   const sent = [];
   const refusal = held();

@@ -17,7 +17,10 @@ export function createFrameState(/** @type {App} */ app) {
   const { state } = app;
   /** Frame id -> the newest revision that an event has reported. @type {Map<number, number>} */
   const heard = new Map();
-  let hasMissed = false;
+  /** How often something may have been missed, and up to which of these the open frame was read again. */
+  let [misses, caughtUp] = [0, 0];
+  /** How often what is kept was given up: what was asked for before is not kept, either. */
+  let givenUp = 0;
   /** What may be opened next, by its address; the newest last. @type {Map<string, FrameState>} */
   const ahead = new Map();
 
@@ -28,6 +31,11 @@ export function createFrameState(/** @type {App} */ app) {
   const pathOf = (/** @type {number} */ id, /** @type {string | null} */ bestFor) =>
     `${app.path("frames", id)}${bestFor === null ? "" : `?best_for=${encodeURIComponent(bestFor)}`}`;
   const isOutdated = (/** @type {FrameState} */ frame) => (heard.get(frame.frame.id) ?? -1) > frame.frame.revision;
+
+  function giveUp() {
+    givenUp += 1;
+    ahead.clear();
+  }
 
   function keep(/** @type {string} */ path, /** @type {FrameState} */ frame) {
     ahead.delete(path);
@@ -52,7 +60,7 @@ export function createFrameState(/** @type {App} */ app) {
   const frames = {
     /** True if others have saved, or may have saved, a newer state. */
     get isBehind() {
-      return state.frame !== null && (hasMissed || isOutdated(state.frame));
+      return state.frame !== null && (misses !== caughtUp || isOutdated(state.frame));
     },
 
     /**
@@ -83,9 +91,10 @@ export function createFrameState(/** @type {App} */ app) {
       /** @type {RequestOptions} */ options,
     ) {
       const path = pathOf(id, bestFor);
+      const own = givenUp;
       /** @type {FrameState} */
       const frame = knownOf(id, bestFor) ?? (await app.api.get(path, options));
-      keep(path, frame);
+      if (own === givenUp) keep(path, frame);
       return frame;
     },
 
@@ -98,15 +107,16 @@ export function createFrameState(/** @type {App} */ app) {
       const known = knownOf(id, bestFor);
       ahead.delete(path);
       if (known && !isSame(known, state.frame)) {
-        hasMissed = true;
+        misses += 1;
         show(known);
         return known;
       }
       /** @returns {Promise<FrameState>} */
       const read = () => app.api.get(path, options);
+      const before = misses;
       let frame = await read();
       for (let reads = 1; reads < MOST_READS && isOutdated(frame); reads += 1) frame = await read();
-      hasMissed = false;
+      caughtUp = before;
       // the open frame may be newer than the answer
       if (!isSame(frame, state.frame)) show(frame);
       else if (!frames.take(frame)) state.set({ frame: state.frame });
@@ -116,16 +126,11 @@ export function createFrameState(/** @type {App} */ app) {
     /** Reads the open frame again if it is behind. If `isWelcome()` is false by then, the answer is ignored. */
     async refresh(isWelcome = () => true) {
       if (!frames.isBehind) return;
-      const hadMissed = hasMissed;
-      hasMissed = false;
-      try {
-        const frame = await app.api.get(app.path("frames", currentFrame(app).frame.id));
-        if (isWelcome()) frames.take(frame);
-        else hasMissed ||= hadMissed;
-      } catch (error) {
-        hasMissed ||= hadMissed;
-        throw error;
-      }
+      const before = misses;
+      const frame = await app.api.get(app.path("frames", currentFrame(app).frame.id));
+      if (!isWelcome()) return;
+      frames.take(frame);
+      caughtUp = Math.max(caughtUp, before);
     },
 
     /** Handles an event: a frame has a new revision, perhaps saved by this page. */
@@ -135,15 +140,18 @@ export function createFrameState(/** @type {App} */ app) {
 
     /** Events may have been missed. */
     miss() {
-      hasMissed = true;
-      ahead.clear();
+      misses += 1;
+      giveUp();
     },
+
+    /** A change of the open frame has changed others, too: what was read of them ahead is read again. */
+    giveUp,
 
     /** No frame is open any more: it cannot be read, or another project was opened. */
     close(isOtherProject = false) {
       if (isOtherProject) heard.clear();
-      ahead.clear();
-      hasMissed = false;
+      giveUp();
+      caughtUp = misses;
       state.set({ frame: null });
     },
   };

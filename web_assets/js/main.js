@@ -125,8 +125,7 @@ async function travel(/** @type {"undo" | "redo"} */ direction, /** @type {boole
     const { frame, state, done } = await app.api.change(app.path(direction), { skip });
     toast(`${direction === "undo" ? "Undone" : "Redone"}: ${done}`);
     if (frame === null || state === null) await refreshProject();
-    else if (app.state.frame?.frame.id === frame) app.frames.take(state);
-    else if (mode === "annotate") app.go(makeHash(project, mode, frame));
+    else if (!app.frames.take(state) && mode === "annotate") app.go(makeHash(project, mode, frame));
   } catch (error) {
     if (!(error instanceof ApiError) || error.status !== 409) toast(error);
     else if (error.body.frame === undefined || skip) toast(error, "warn");

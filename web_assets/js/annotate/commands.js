@@ -87,7 +87,7 @@ export function createCommands(/** @type {Annotate} */ at) {
     const next = kind === "accept" && label.isNew ? null : nextAfter(kind, label);
     if (!next && kind === "accept" && isReviewed(label)) sayReviewed();
     const isHere = next !== null && opening.isShown(next.uid);
-    const isAtOnce = !isHere && next !== null && label.state !== "rejected" && mayGoOn(next.frame);
+    const isAtOnce = !isHere && next !== null && label.state !== "rejected" && mayGoOn(next.frame, label.uid);
     const saved = save(kind, label);
     if (isAtOnce) return goOnBefore(saved, label.uid, next);
     // a box that the image shows is selected at once; another camera, or what the change moves, is opened after saving
@@ -109,9 +109,9 @@ export function createCommands(/** @type {Annotate} */ at) {
   }
 
   /** Whether a frame can be opened before the change that is about to be sent is saved: it does not depend on it. */
-  const mayGoOn = (/** @type {number} */ frame) =>
+  const mayGoOn = (/** @type {number} */ frame, /** @type {string} */ uid) =>
     !Object.values(currentFrame(app).frame.cameras).includes(frame) &&
-    desk.mayGoOn(frame) &&
+    desk.mayGoOn(frame, uid) &&
     at.teach.unsaved === null &&
     !at.image.isBusy;
 
@@ -127,8 +127,11 @@ export function createCommands(/** @type {Annotate} */ at) {
     void opening.go(next, isFromQueue, true);
     const isSaved = await saved;
     if (!at.parts.root.isConnected) return;
-    // what is refused is in the queue again
-    queue.settle(await app.frames.of(frame));
+    // what is refused is in the queue again; the server knows it if the frame cannot be read
+    await app.frames.of(frame).then(
+      (state) => queue.settle(state),
+      () => queue.reloadSoon(),
+    );
     // if several were refused, the first of them is shown
     if (isSaved || refusals !== refused) return;
     refused += 1;
@@ -218,8 +221,8 @@ export function createCommands(/** @type {Annotate} */ at) {
       const answer = await app.api.post(app.path("frames", id, what), body);
       const { box, note, too_few_points: _, distance: __, label, ...facts } = answer;
       if (app.state.frame?.frame.id !== id || !at.parts.root.isConnected) return null;
-      // one that was offered before, and not taken
-      if (what === "unlabelled" && desk.shown?.isNew && desk.uid === standing.uid) desk.drop(desk.uid);
+      // one that was offered before, and neither taken nor corrected
+      if (what === "unlabelled" && desk.uid === standing.uid && desk.isAsFound(desk.uid)) desk.drop(desk.uid);
       if (box) desk.add({ ...facts, box, label: label ?? at.picker.label, image_box: null });
       else app.toast(sentence(note ?? "nothing was placed"), "warn");
       return answer;

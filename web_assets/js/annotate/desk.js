@@ -12,6 +12,7 @@ import { carried, copyBox, fillSame, sameBox } from "../box3d.js";
 import { count } from "../dom.js";
 import { messageOf } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
+import { frameName } from "../timeline/reading.js";
 import { createSender } from "./saver.js";
 import { changesOn, chooseBox, versionOf } from "./versions.js";
 
@@ -38,6 +39,8 @@ export function createDesk(/** @type {App} */ app) {
   let uid = null;
   /** Whether changes of the selected box, whose object stands still, are for this frame only. */
   let isHere = false;
+  /** The number of changes on their way that may change other frames, too. */
+  let wide = 0;
   /** @type {Set<() => void>} */
   const leaving = new Set();
   const sender = createSender(app, () => notify("saving"));
@@ -50,16 +53,36 @@ export function createDesk(/** @type {App} */ app) {
   const labels = () => [...(app.state.frame?.labels ?? []), ...[...added.values()].map(({ label }) => label)];
   const stored = (id = uid) => labels().find((label) => label.uid === id) ?? null;
 
-  /** Sends a change of the open frame. */
-  function change(/** @type {FrameChange} */ what) {
+  const isStill = (/** @type {string | null | undefined} */ id) => stored(id ?? null)?.still === true;
+
+  /**
+   * Waits for a change that other frames show, too: what was read of them ahead is read again.
+   *
+   * @template T
+   * @param {Promise<T>} sending
+   */
+  async function widely(sending) {
+    wide += 1;
+    try {
+      return await sending;
+    } finally {
+      wide -= 1;
+      app.frames.giveUp();
+    }
+  }
+
+  /** Sends a change of the open frame, and perhaps of others. */
+  function change(/** @type {FrameChange} */ what, isWide = true) {
     app.effort.action();
-    return sender.send(currentFrame(app).frame.id, what);
+    const sending = sender.send(currentFrame(app).frame.id, what);
+    return isWide ? widely(sending) : sending;
   }
 
   /** Sends changes of the open frame; resolves to null if they are saved, else to the problem. */
   async function send(/** @type {Change[]} */ changes, /** @type {string | null} */ subject) {
     try {
-      await sender.send(currentFrame(app).frame.id, changeOf(changes, subject));
+      const sending = sender.send(currentFrame(app).frame.id, changeOf(changes, subject));
+      await (changes.some(({ uid: of, here }) => !here && isStill(of)) ? widely(sending) : sending);
       rebase(changes);
       return null;
     } catch (error) {
@@ -78,13 +101,17 @@ export function createDesk(/** @type {App} */ app) {
       base: () =>
         changes.map(({ uid: of }) => drafts.get(of ?? null)).find((draft) => draft && isBehind(draft))?.revision,
       async instead(error, state) {
-        const choice = await chooseBox(state.labels, changes, error);
+        const { id, key } = state.frame;
+        const name = app.state.frame?.frame.id === id ? undefined : frameName(app.state, id, key);
+        const choice = await chooseBox(state.labels, changes, error, name);
         if (choice === null) throw error;
         if (choice.selected && stored(choice.selected)) select(choice.selected);
         return choice.changes.length > 0 ? changeOf(choice.changes, subject) : null;
       },
       done({ moved }) {
-        if (moved > 0) app.toast(`${count(moved, "unreviewed box", "unreviewed boxes")} of the track moved along.`);
+        if (!(moved > 0)) return;
+        app.frames.giveUp();
+        app.toast(`${count(moved, "unreviewed box", "unreviewed boxes")} of the track moved along.`);
       },
     };
   }
@@ -132,7 +159,7 @@ export function createDesk(/** @type {App} */ app) {
     if (id === uid) return;
     keep();
     uid = id;
-    isHere = false;
+    isHere = drafts.get(id)?.here ?? false;
     notify("selection");
   }
 
@@ -164,6 +191,7 @@ export function createDesk(/** @type {App} */ app) {
     if (added.has(uid)) return applyDraft(uid, actions);
     if (draft.sending === draft.wanted) return draft.sent;
     app.effort.action(actions);
+    draft.here = isHereOnly(uid);
     return save(uid, draft);
   }
 
@@ -220,7 +248,7 @@ export function createDesk(/** @type {App} */ app) {
     return true;
   }
 
-  const isHereOnly = (/** @type {string} */ id) => isHere && id === uid && stored(id)?.still === true;
+  const isHereOnly = (/** @type {string | null} */ id) => isHere && id === uid && isStill(id);
 
   function save(/** @type {string | null} */ id, /** @type {LabelDraft} */ draft) {
     draft.sent = sendDraft(id ?? "", draft);
@@ -228,7 +256,7 @@ export function createDesk(/** @type {App} */ app) {
   }
 
   async function sendDraft(/** @type {string} */ id, /** @type {LabelDraft} */ draft) {
-    const wanted = draft.wanted;
+    const { wanted, here } = draft;
     draft.sending = wanted;
     const { label, box, track_id } = wanted;
     const before = stored(id);
@@ -237,7 +265,7 @@ export function createDesk(/** @type {App} */ app) {
     /** @type {Change} */
     const change = isTrackOnly
       ? { kind: "track", uid: id, track_id }
-      : { kind: "edit", uid: id, label, box, track_id, box_kind: kindOf(before, box), here: isHereOnly(id) };
+      : { kind: "edit", uid: id, label, box, track_id, box_kind: kindOf(before, box), here };
     const error = await send([change], id);
     if (draft.sending === wanted) draft.sending = null;
     draft.problem = error;
@@ -367,8 +395,14 @@ export function createDesk(/** @type {App} */ app) {
     enqueue: sender.enqueue,
     send: sender.send,
     change,
-    /** Whether another frame may be opened before what waits is saved: it has no box that is not sent. */
-    mayGoOn: (/** @type {number} */ frame) => drafts.size === 0 && added.size === 0 && !sender.isOf(frame),
+    /**
+     * Whether another frame may be opened before what waits, and a decision on a box, is saved: no box is not sent, and
+     * none of that changes the other frame.
+     */
+    mayGoOn: (/** @type {number} */ frame, /** @type {string} */ id) =>
+      drafts.size === 0 && added.size === 0 && wide === 0 && !isStill(id) && !sender.isOf(frame),
+    /** Whether a new box is as it was found. */
+    isAsFound: (/** @type {string | null} */ id) => added.get(id)?.actions === 1 && !drafts.has(id),
     /** Removes a new box, which another object replaces. */
     drop: remove,
 
@@ -380,6 +414,7 @@ export function createDesk(/** @type {App} */ app) {
         wanted: valuesOf(label),
         base: { uid: label.uid, ...valuesOf(label) },
         revision: currentFrame(app).frame.revision,
+        here: false,
         sending: null,
         sent: Promise.resolve(true),
         problem: null,
@@ -438,7 +473,9 @@ export function createDesk(/** @type {App} */ app) {
       /** @type {Record<string, string | number | boolean | null>} */ values,
     ) {
       // sent again without asking: only these values change
-      return change({ path: ["attributes"], body: () => ({ uid: id, values }), isSentAgain: true }).catch((error) => {
+      const what = { path: ["attributes"], body: () => ({ uid: id, values }), isSentAgain: true };
+      // a track has some in all its frames
+      return change(what, (stored(id)?.track_id ?? null) !== null).catch((error) => {
         app.toast(error);
         notify("frame");
       });

@@ -133,8 +133,9 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
     /** Removes the items that are reviewed in a frame's new state; those that an undo has opened again come back. */
     settle(/** @type {FrameState} */ frame) {
       if (order === "teach") return this.reloadSoon();
+      const proposals = frame.labels.filter(({ state }) => state === "proposed");
       /** @type {Set<string | null>} */
-      const open = new Set(frame.labels.filter(({ state }) => state === "proposed").map(({ uid }) => uid));
+      const open = new Set(proposals.map(({ uid }) => uid));
       // a label belongs to its moment, whose frames have the same
       const moment = new Set(Object.values(frame.frame.cameras).concat(frame.frame.id));
       const gone = (/** @type {QueueItem} */ item) => moment.has(item.frame) && !open.has(item.uid);
@@ -144,8 +145,8 @@ export function createQueue(/** @type {App} */ app, /** @type {() => void} */ on
       for (const { uid } of back) reviewed.delete(uid);
       items = items.toSpliced(place, 0, ...back);
       remaining += back.length;
-      // an undo may restore proposals that are not known here
-      const comesBack = !this.isFiltered && [...open].some((uid) => !known.has(uid));
+      // an undo may restore proposals that are not known here; one that stands still waits in one frame only
+      const comesBack = !this.isFiltered && proposals.some(({ uid, still }) => !still && !known.has(uid));
       if (comesBack || (items.length < FEW && items.length < remaining)) this.reloadSoon();
       if (removed > 0 || back.length > 0) onChange();
     },

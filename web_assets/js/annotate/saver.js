@@ -23,6 +23,13 @@ export function createSender(app, onWaiting) {
   let chain = Promise.resolve();
   /** The frames of the moments with changes that wait. @type {number[][]} */
   let moments = [];
+  /** The newest states of these frames that are known, however many frames are opened meanwhile. @type {Map<number, FrameState>} */
+  const states = new Map();
+
+  function know(/** @type {FrameState} */ state) {
+    const { id, revision } = state.frame;
+    if (revision >= (states.get(id)?.frame.revision ?? 0)) states.set(id, state);
+  }
 
   /**
    * Runs a task after all earlier ones. Later tasks run even if it fails.
@@ -53,13 +60,20 @@ export function createSender(app, onWaiting) {
     const open = app.state.frame?.frame;
     const moment = open?.id === frame ? [frame, ...Object.values(open.cameras)] : [frame];
     moments.push(moment);
+    if (open?.id === frame) know(currentFrame(app));
     return enqueue(async () => {
       try {
         return await post(frame, change);
       } finally {
         moments = moments.filter((other) => other !== moment);
+        if (!moments.some(([id]) => id === frame)) states.delete(frame);
       }
     });
+  }
+
+  function take(/** @type {FrameState} */ state) {
+    know(state);
+    app.frames.take(state);
   }
 
   /**
@@ -69,7 +83,9 @@ export function createSender(app, onWaiting) {
    * @returns {Promise<T | null>}
    */
   async function post(frame, change, isFirst = true) {
-    const state = await app.frames.of(frame);
+    if (app.state.frame?.frame.id === frame) know(app.state.frame);
+    // not read anew: others may have changed what the operator saw
+    const state = states.get(frame) ?? (await app.frames.of(frame));
     const revision = (isFirst ? change.base?.() : null) ?? state.frame.revision;
     try {
       const body = { revision, ...change.body(state) };
@@ -77,7 +93,7 @@ export function createSender(app, onWaiting) {
       const answer = await app.api.change(app.path("frames", frame, ...change.path), body);
       change.done?.(answer);
       const now = change.stateOf ? change.stateOf(answer) : /** @type {FrameState} */ (answer);
-      if (now) app.frames.take(now);
+      if (now) take(now);
       return answer;
     } catch (error) {
       if (isTrackTaken(error) && change.instead) {
@@ -88,7 +104,7 @@ export function createSender(app, onWaiting) {
       const theirs = error.body.state;
       const name = app.state.frame?.frame.id === frame ? undefined : frameName(app.state, frame, theirs.frame.key);
       const chosen = change.mine ? await askVersion({ theirs, mine: change.mine(theirs), name }) : null;
-      app.frames.take(theirs);
+      take(theirs);
       if (chosen === "theirs") return null;
       if (!change.mine && !(change.isSentAgain && isFirst)) throw error;
       return post(frame, change, false);
@@ -149,7 +165,8 @@ export function createSaver(app, desk, { onSaved, onDropped, onBusy }) {
       };
       const answer = await desk.send(frame, { ...entry, body });
       if (!answer) return drop();
-      waiting.shift();
+      // it may have been discarded meanwhile
+      if (waiting[0] === entry) waiting.shift();
       const open = app.state.frame;
       if (waiting.length === 0 && open?.frame.id === frame) onSaved(open);
     } catch (error) {

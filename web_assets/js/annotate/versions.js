@@ -59,15 +59,16 @@ const pairs = (/** @type {Line} */ line) => line.slice(1).map((end, i) => [line[
  * @param {PageLabel[]} labels of the frame, as stored.
  * @param {Change[]} changes the refused ones.
  * @param {TrackTakenError} error
+ * @param {string} [name] of the frame, if it is not the open one.
  * @returns {Promise<{ changes: Change[], selected?: string } | null>}
  */
-export async function chooseBox(labels, changes, error) {
+export async function chooseBox(labels, changes, error, name) {
   const { track } = error.body;
   const isOwn = (/** @type {string} */ uid) => changes.some((change) => change.uid === uid);
   const other = labels.find((label) => label.track_id === track && label.state !== "rejected" && !isOwn(label.uid));
   if (!other || changes.length !== 1) return null;
   const chosen = await openDialog({
-    title: `Track ${track} has a box in this frame`,
+    title: `Track ${track} has a box in ${name === undefined ? "this frame" : `frame ${name}`}`,
     testid: "which-stays",
     content: [
       h(
