@@ -16,7 +16,7 @@ from annotator.geometry.projection import radius_limit_squared
 from annotator.project import Effort as StoredEffort
 from annotator.project import WriteContext
 from annotator.project.classes.attributes import Value
-from annotator.project.records import ViewGeometry
+from annotator.project.records import Rotation3, ViewGeometry
 from annotator.types import Box2D, BoxKind, Camera, OrientedBox, Quality, ReviewState, Source, Suggestion
 from annotator.types.bases import Strict, TrackId
 
@@ -106,8 +106,9 @@ class Box3DJson(Schema):
 class PlaneJson(Schema):
     """The plane of a pseudo-view, as in `ViewJson`."""
 
-    axes: Axes
-    metres_per_px: Length
+    axes: Rotation3
+    # of a small object on a large view, less than any length
+    metres_per_px: Annotated[float, Field(gt=0, le=1e4, allow_inf_nan=False)]
     origin_m: tuple[Metres, Metres]
 
     def geometry(self) -> ViewGeometry:

@@ -169,6 +169,12 @@ def test_steps_are_answered_without_storing_anything(live: Live, generated: Path
     assert live.client.get(f"{ROOM}/frames/1/label/suggestions").json() == {"boxes": []}
     five = live.client.post(f"{ROOM}/frames/1/label/steps", json={**body, "boxes": [None] * 5})
     assert five.status_code == 422
+    # the view of 2 cm is 256 px wide
+    view = {name: step["views"][0][name] for name in ("axes", "metres_per_px", "origin_m")}
+    for scale, status in ((2e-5, 200), (0.0, 422)):
+        drawn = {"boxes": [scene.image_box(0)], "planes": [view | {"metres_per_px": scale}]}
+        answer = live.client.post(f"{ROOM}/frames/1/label/steps", json=body | drawn)
+        assert answer.status_code == status
 
 
 def test_tools_say_why_there_is_no_detector(live: Live, project: Project, generated: Path, tmp_path: Path) -> None:
