@@ -8,6 +8,7 @@
  * `DeskEvent`.
  */
 
+import { schemaOf } from "../attributes.js";
 import { carried, copyBox, fillSame, sameBox } from "../box3d.js";
 import { count } from "../dom.js";
 import { messageOf } from "../errors.js";
@@ -474,8 +475,8 @@ export function createDesk(/** @type {App} */ app) {
     ) {
       // sent again without asking: only these values change
       const what = { path: ["attributes"], body: () => ({ uid: id, values }), isSentAgain: true };
-      // a track has some in all its frames
-      return change(what, (stored(id)?.track_id ?? null) !== null).catch((error) => {
+      const isOfTrack = schemaOf(app).some(({ name, of }) => of === "track" && name in values);
+      return change(what, isOfTrack || isStill(id)).catch((error) => {
         app.toast(error);
         notify("frame");
       });

@@ -242,6 +242,8 @@ export function createTracks(/** @type {Annotate} */ at) {
     });
     if (!done) return;
     app.toast(`Track ${track}: ${done.words}.`, "good");
+    // this frame and others are read again, also before the message of the change has come
+    app.frames.miss();
     await app.frames.refresh();
     // the box of one that stands still is another one
     if (!desk.stored()) desk.select(desk.labels().find(({ track_id }) => track_id === track)?.uid ?? null);
