@@ -83,12 +83,21 @@ test("what is missed while a frame is read is read again, and what was asked for
   answers[1].resolve(frameState(3));
   await refreshed;
   assert.equal(frames.isBehind, true);
+  // another frame is opened, as it was before, while this one is read again
+  const other = frames.open(3, null);
+  frames.miss();
+  const late = frames.refresh();
+  answers[2].resolve(frameState(3, [], 3));
+  await other;
+  answers[3].resolve(frameState(3));
+  await late;
+  assert.equal(frames.isBehind, true);
   const prepared = frames.prepare(2, null);
   frames.giveUp();
-  answers[2].resolve(frameState(3, [], 2));
+  answers[4].resolve(frameState(3, [], 2));
   await prepared;
   void frames.open(2, null);
-  assert.equal(answers.length, 4, "it may be older than what has changed it");
+  assert.equal(answers.length, 6, "it may be older than what has changed it");
 });
 
 test("what was read ahead is opened at once, and is behind until it is read again", async () => {

@@ -126,11 +126,12 @@ export function createFrameState(/** @type {App} */ app) {
     /** Reads the open frame again if it is behind. If `isWelcome()` is false by then, the answer is ignored. */
     async refresh(isWelcome = () => true) {
       if (!frames.isBehind) return;
-      const before = misses;
-      const frame = await app.api.get(app.path("frames", currentFrame(app).frame.id));
+      const [before, { id }] = [misses, currentFrame(app).frame];
+      const frame = await app.api.get(app.path("frames", id));
       if (!isWelcome()) return;
       frames.take(frame);
-      caughtUp = Math.max(caughtUp, before);
+      // another one may have been opened meanwhile, as it was before
+      if (state.frame?.frame.id === id) caughtUp = Math.max(caughtUp, before);
     },
 
     /** Handles an event: a frame has a new revision, perhaps saved by this page. */
