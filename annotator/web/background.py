@@ -60,6 +60,25 @@ class Periodic:
                 LOG.exception("%s: failed, and is tried again in %g s", self._name, self._every_s)
 
 
+class Problems:
+    """Logs what is wrong with a project once, not each time that it is looked at."""
+
+    def __init__(self) -> None:
+        self._last: dict[str, str] = {}
+
+    @contextmanager
+    def of(self, name: str, what: str) -> Iterator[None]:
+        """An error in the block is logged, unless it was the last time; `what` cannot be done, in words."""
+        try:
+            yield
+        except AnnotatorError as error:
+            if self._last.get(name) != str(error):
+                LOG.warning("%s: %s: %s", name, what, error)
+            self._last[name] = str(error)
+        else:
+            self._last.pop(name, None)
+
+
 MOST_HEAPS, TIDY_EVERY_S = 2, 60.0
 # `M_ARENA_MAX` of glibc's malloc.h
 _ARENA_MAX = -8
@@ -205,11 +224,12 @@ class Sights(Periodic):
         self._context = context
         # for which still objects of each rig, and among how many frames of the project, all was looked at
         self._done = WeakKeyDictionary[Project, dict[int, tuple[tuple[int, int], int]]]()
+        self._problems = Problems()
 
     def look(self) -> None:
         """Looks at every project that a page has open, until its still objects change or the server ends."""
         for name in filter(self._context.is_open, self._context.hub.projects()):
-            try:
+            with self._problems.of(name, "its still objects could not be looked for"):
                 project = self._context.project(name)
                 stills = project.stills.versions()
                 frames = project.frames.count_present() if stills else 0
@@ -217,8 +237,6 @@ class Sights(Periodic):
                     known = version, frames
                     if self._done.setdefault(project, {}).get(rig) != known and self._look(name, project, rig):
                         self._done[project][rig] = known
-            except AnnotatorError as error:
-                LOG.warning("%s: its still objects could not be looked for: %s", name, error)
 
     def _look(self, name: str, project: Project, rig: int) -> bool:
         """Looks in a rig's frames; returns whether it was looked in all of them."""
@@ -251,20 +269,12 @@ class Watch(Periodic):
     def __init__(self, context: Context, learner: Learner) -> None:
         super().__init__("watch", WATCH_EVERY_S, self.poll)
         self._context, self._learner = context, learner
-        self._problems: dict[str, str] = {}
+        self._problems = Problems()
 
     def poll(self) -> None:
         """Looks at every project that a page has open."""
         for name in filter(self._context.is_open, self._context.hub.projects()):
-            try:
-                with waiting_at_most(WATCH_WAIT_S):
-                    project = self._context.project(name)
-                    self._context.announcer.announce(project)
-                    self._learner.look(name, project)
-            except AnnotatorError as error:
-                # once, not twice a second
-                if self._problems.get(name) != str(error):
-                    LOG.warning("%s: it cannot be watched, or cannot learn: %s", name, error)
-                self._problems[name] = str(error)
-            else:
-                self._problems.pop(name, None)
+            with self._problems.of(name, "it cannot be watched, or cannot learn"), waiting_at_most(WATCH_WAIT_S):
+                project = self._context.project(name)
+                self._context.announcer.announce(project)
+                self._learner.look(name, project)

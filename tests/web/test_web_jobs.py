@@ -30,8 +30,9 @@ from annotator.project.config import BACKUPS
 from annotator.project.labels import Labels
 from annotator.project.models import Models
 from annotator.types import BoxKind, DetectorKind
+from annotator.types.errors import ConfigError
 from annotator.web import background
-from annotator.web.background import BACKUPS_PAUSE_S, AutomaticBackups, Learner
+from annotator.web.background import BACKUPS_PAUSE_S, AutomaticBackups, Learner, Problems
 from annotator.web.context import Context
 from annotator.web.jobs import runner, worker
 from annotator.web.jobs.records import (
@@ -460,6 +461,17 @@ def test_a_failed_backup_is_logged_and_tried_again_an_hour_later(
         assert len(automatic_backups(changed)) == 1
     finally:
         context.close()
+
+
+def test_what_is_wrong_with_a_project_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+    problems = Problems()
+    for name, text in (("a", "1"), ("a", "1"), ("b", "1"), ("a", "2"), ("a", ""), ("a", "2")):
+        with caplog.at_level(logging.WARNING, "annotator.web"), problems.of(name, "not looked at"):
+            if text:
+                raise ConfigError(text)
+    assert [record.message for record in caplog.records] == [
+        f"{name}: not looked at: {text}" for name, text in (("a", "1"), ("b", "1"), ("a", "2"), ("a", "2"))
+    ]
 
 
 def test_the_minutes_of_a_training_tell_how_long_it_takes_before_its_progress_does() -> None:
