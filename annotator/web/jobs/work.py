@@ -234,7 +234,7 @@ def _imported(done: ImportReport) -> Outcome:
 def _proposed(done: AnnotateSummary, source: str = "") -> Outcome:
     message = f"{amount(done.proposals, 'proposal')} in {amount(done.done, 'frame')}"
     if done.still:
-        message += f", {amount(done.still, 'object')} that stand still as one proposal each"
+        message += f", {amount(done.still, 'still object')} as one proposal each"
     if done.skipped:
         message += f", {amount(done.skipped, 'frame')} done before"
     if done.failures:
