@@ -358,7 +358,8 @@ def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> S
 def _ahead(ctx: Ctx, project: Project, frame_id: int) -> Ahead | None:
     """A frame that may be shown next; None if it cannot be read, or is gone: whoever opens it is told."""
     try:
-        opened = ctx.caches.frames.open(project, frame_id)
+        # each scene asks for this frame and the shown one: their neighbours would be read ahead in turn
+        opened = ctx.caches.frames.open(project, frame_id, None)
     except AnnotatorError:
         return None
     return Ahead(opened.frame, opened.ground)

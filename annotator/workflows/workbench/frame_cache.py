@@ -182,15 +182,16 @@ class FrameCache:
         """
         return self.open(project, frame_id).frame
 
-    def open(self, project: Project, frame_id: int, operator: str = "") -> OpenFrame:
+    def open(self, project: Project, frame_id: int, operator: str | None = "") -> OpenFrame:
         """Returns a frame with its cached results, and schedules reading ahead. Raises as `read`.
 
         Args:
-            operator: who opens it; what was to be read ahead for the operator's former frame is left out.
+            operator: who opens it; what was to be read ahead for the operator's former frame is left out. None = nobody
+                does, and nothing is read ahead.
         """
         stored = project.frames.get(frame_id)
         opened = self._open(project, stored)
-        if self._open_by.get(operator) != (project, frame_id):
+        if operator is not None and self._open_by.get(operator) != (project, frame_id):
             self._open_by[operator] = project, frame_id
             # the executor refuses jobs after `close`
             with suppress(RuntimeError):

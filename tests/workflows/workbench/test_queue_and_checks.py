@@ -420,6 +420,9 @@ def test_a_frame_is_read_once_the_next_ahead_and_as_many_kept_as_memory_allows(
     assert len(set(map(id, found))) == 1
     wait_until(lambda: len(reads) == 2)
     assert reads == ["000000", "000001"]
+    with monkeypatch.context() as patched:
+        patched.setattr(cache._executor, "submit", lambda *_: pytest.fail("nobody has opened it"))
+        assert cache.open(people, ids[3], None).frame.key == "000003"
     cache.close()
     assert cache.read(people, ids[4]).key == "000004", "after the end frames are still read, but not ahead"
     small = FrameCache(1, kept_bytes=5 * OpenFrame(found[0]).memory_bytes // 2)
