@@ -26,8 +26,8 @@ export function mount(root, app, until) {
   let frame = app.state.route.frame;
   /** @type {import("./controls.js").Busy} */
   let busy = null;
-  /** Someone else has adjusted the recording since it was shown. */
-  let isOutdated = false;
+  /** Who has adjusted the recording since it was shown. @type {string | null} */
+  let outdatedBy = null;
   /** The frame cannot be read. */
   let isBroken = false;
 
@@ -67,13 +67,13 @@ export function mount(root, app, until) {
   function discard() {
     if (setting !== null) setting = settings.asStored(setting.stored);
     show();
-    if (isOutdated) void load();
+    if (outdatedBy !== null) void load();
   }
 
   function take(/** @type {import("./setting.js").Setting} */ next) {
     const { camera: lens, width, height, points: flatPoints } = next.stored;
     setting = next;
-    isOutdated = false;
+    outdatedBy = null;
     camera = { ...lens, width, height };
     points = Array.from({ length: flatPoints.length / 3 }, (_, i) => flatPoints.slice(3 * i, 3 * i + 3));
     show();
@@ -134,6 +134,7 @@ export function mount(root, app, until) {
     } finally {
       busy = null;
       show();
+      catchUp();
     }
   }
 
@@ -173,10 +174,15 @@ export function mount(root, app, until) {
 
   function onAdjusted(/** @type {Messages["adjusted"]} */ { recording, adjusted, operator }) {
     if (setting?.stored.recording !== recording || adjusted <= setting.stored.adjusted) return;
-    isOutdated = true;
-    if (busy !== null) return;
+    outdatedBy = operator;
+    catchUp();
+  }
+
+  /** Shows what others have adjusted, once nothing is being done, or says so where something would be lost. */
+  function catchUp() {
+    if (until.aborted || setting === null || outdatedBy === null || busy !== null) return;
     if (settings.isCorrected(setting) || settings.isTurned(setting))
-      app.toast(`${operator} has adjusted this recording meanwhile. Discard your changes to see it.`, "warn");
+      app.toast(`${outdatedBy} has adjusted this recording meanwhile. Discard your changes to see it.`, "warn");
     else void load();
   }
 
