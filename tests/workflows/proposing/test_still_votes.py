@@ -161,3 +161,15 @@ def test_exact_image_boxes_outvote_wrong_depths(seed: int) -> None:
     alone = [iou_3d(vote.in_world, box) for vote in votes]
     assert len(found.votes) == len(votes)
     assert iou_3d(found.box, box) >= np.mean(alone)
+
+
+def test_what_fills_the_image_is_no_vote_for_an_object_behind() -> None:
+    """None of its edges is known, so its image box fits everything."""
+    behind = OrientedBox.from_parts(np.array([0, 6, 1.0]), np.eye(3), np.ones(3))
+    near = OrientedBox.from_parts(np.array([0, -1.2, 1.0]), np.eye(3), np.array([4.0, 2.0, 4.0]))
+    still = np.zeros(3)
+    votes = [look_from(0.02 * frame, behind, still, np.ones(3), frame) for frame in range(4)]
+    last = look_from(0.0, near, still, np.ones(3), 4)
+    assert last.edges == (None, None, None, None)
+    (found,) = agreed(grouped([*votes, last]))
+    assert list(found.votes) == votes
