@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +16,13 @@ from store_samples import box_at, by_hand, revised, version_of
 
 from annotator.project import FramePart, NewLabel, Project, create_project, open_project
 from annotator.project.backup.verify import verify
-from annotator.project.changes import LabelChanged, StillMade
+from annotator.project.changes import LabelChanged, StillMade, StillProposal, StillsProposed
 from annotator.project.database.migrations import APPLICATION_ID, MIGRATIONS
 from annotator.project.database.store import driver_of
 from annotator.project.records import BoxRecord
 from annotator.project.stills import Sighting
-from annotator.types import Correction, OrientedBox, ReviewState
-from annotator.types.errors import ProjectError
+from annotator.types import Correction, OrientedBox, ReviewState, Source
+from annotator.types.errors import ProjectError, StaleRevisionError
 
 FRAMES = 4
 
@@ -176,3 +177,19 @@ def test_what_detectors_find_of_it_is_covered(posed: Project) -> None:
     (brought,) = posed.proposals.bring("their detector", {third: [NewLabel("hand", box_at(0.05), 0.9), other]}).values()
     assert brought.is_open == (False, True)
     assert [label.track_id for label in posed.labels.of_frame(third)] == [1, None], "its track is taken there"
+
+
+def test_a_pass_does_not_remove_what_was_decided_in_a_frame_that_it_does_not_change(posed: Project) -> None:
+    first, second, *_ = posed.frames.of()
+    new = StillProposal("hand", box_at(1.0), 1, 0.5, 0.5)
+    pass_of = replace(revised(posed, first.id), source=Source.AUTO)
+    posed.log.append(first.id, [StillsProposed([new])], pass_of)
+    posed.stills.keep([Sighting(new.uid, second.id, second.moment_id, True)])
+    (shown,) = posed.labels.of_frame(second.id)
+    again = StillsProposed([StillProposal("hand", box_at(1.0), 2, 0.5, 0.5)], [new.uid])
+    accept = LabelChanged(uid=shown.uid, state=ReviewState.ACCEPTED)
+    posed.log.append(second.id, [accept], revised(posed, second.id))
+    pass_of = replace(revised(posed, first.id), source=Source.AUTO)
+    with pytest.raises(StaleRevisionError, match="an object that stands still"):
+        posed.log.append(first.id, [again], pass_of)
+    assert [(each.uid, each.state) for each in posed.stills.of(1)] == [(new.uid, ReviewState.ACCEPTED)]

@@ -18,7 +18,7 @@ from annotator.project import FramePart, Project, StoredFrame, WriteContext
 from annotator.project.changes import LabelDeleted, Payload, StillProposal, StillsProposed
 from annotator.rcv.votes import SAME_IOU, Agreed, Vote, agreed, grouped
 from annotator.types import BoxKind, OrientedBox, ReviewState, Source
-from annotator.types.errors import StaleRevisionError
+from annotator.types.errors import FinalisedFrameError, StaleRevisionError, TrackTakenError
 from annotator.workflows.tracks.still_objects import find_sightings
 
 AUTHOR = "rcv"  # of proposals
@@ -54,7 +54,7 @@ def vote_stills(
             try:
                 count += _Rig(project, stored.rig_id).propose(author, action, box_kind)
                 break
-            except StaleRevisionError:  # an operator has changed a frame; what is reviewed now is left out
+            except (StaleRevisionError, FinalisedFrameError, TrackTakenError):  # by an operator, meanwhile
                 if attempt == ATTEMPTS:
                     raise
         find_sightings(project, recording_id, progress=progress)

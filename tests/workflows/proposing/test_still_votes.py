@@ -20,12 +20,13 @@ from annotator.project.classes.edit import StyleClass
 from annotator.project.rows import still_of
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.first_look import known_edges
-from annotator.rcv.votes import Vote, agreed, grouped
+from annotator.rcv.votes import Agreed, Vote, agreed, grouped
 from annotator.recordings import Recording, open_recording
 from annotator.synthetic import write_generated
 from annotator.types import Camera, OrientedBox, ReviewState
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors
+from annotator.workflows.proposing import still_votes
 from annotator.workflows.proposing.annotate import AUTHOR, annotate
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.link import link_tracks
@@ -124,6 +125,30 @@ def test_the_next_pass_replaces_what_is_open_and_nothing_else(tour: Project, rec
     assert tour.stills.of(1) and {each.uid for each in tour.stills.of(1)} == before.keys()
     events = list(tour.log.since())
     assert tour.log.rebuild() == len(events) and tour.problems() == []
+
+
+def test_what_an_operator_decides_while_a_pass_votes_stays(
+    tour: Project, recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    annotate(tour, shaky(recording, 0), RcvConfig())
+    first = tour.frames.of()[0]
+    item = next(each for each in queue(tour, Order.TIME).items if still_of(each.uid or ""))
+
+    def decide(groups: list[list[Vote]]) -> list[Agreed]:
+        monkeypatch.undo()
+        context = WriteContext(tour.frames.get(item.frame.id).revision, "ann")
+        tour.log.append(item.frame.id, [LabelChanged(uid=item.uid or "", state=ReviewState.ACCEPTED)], context)
+        return agreed(groups)
+
+    def finalise(groups: list[list[Vote]]) -> list[Agreed]:
+        monkeypatch.setattr(still_votes, "agreed", decide)
+        tour.frames.finalise(first.id, WriteContext(tour.frames.get(first.id).revision, "ann"))
+        return agreed(groups)
+
+    monkeypatch.setattr(still_votes, "agreed", finalise)
+    assert annotate(tour, shaky(recording, 1), RcvConfig()).still >= 2
+    states = {each.uid: each.state for each in tour.stills.of(1)}
+    assert states[still_of(item.uid or "") or ""] is ReviewState.ACCEPTED
 
 
 def test_without_a_word_on_the_class_it_takes_a_long_look(tour: Project, recording: Recording) -> None:
