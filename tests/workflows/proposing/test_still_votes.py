@@ -27,7 +27,8 @@ from annotator.types import Camera, OrientedBox, ReviewState
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing import still_votes
-from annotator.workflows.proposing.annotate import AUTHOR, annotate
+from annotator.workflows.proposing.annotate import annotate
+from annotator.workflows.proposing.still_votes import AUTHOR
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.link import link_tracks
 from annotator.workflows.workbench.review_queue import Order, doubt, queue
