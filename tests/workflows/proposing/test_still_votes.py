@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -150,6 +151,17 @@ def test_what_an_operator_decides_while_a_pass_votes_stays(
     assert annotate(tour, shaky(recording, 1), RcvConfig()).still >= 2
     states = {each.uid: each.state for each in tour.stills.of(1)}
     assert states[still_of(item.uid or "") or ""] is ReviewState.ACCEPTED
+
+
+def test_a_pass_leaves_recordings_alone_through_which_it_does_not_go(
+    tour: Project, recording: Recording, tmp_path: Path
+) -> None:
+    annotate(tour, shaky(recording, 0), RcvConfig())
+    before = [each.uid for each in tour.stills.of(1)]
+    other = open_recording(shutil.copytree(recording.path, tmp_path / "other"))
+    number = register_recording(tour, other).id
+    assert annotate(tour, shaky(other, 0), RcvConfig()).done == FRAMES
+    assert [each.uid for each in tour.stills.of(1)] == before and tour.stills.of(number)
 
 
 def test_without_a_word_on_the_class_it_takes_a_long_look(tour: Project, recording: Recording) -> None:
