@@ -208,6 +208,10 @@ def test_what_is_only_proposed_is_not_reviewed(posed: Project) -> None:
     assert (review.progress.forecast.frames_done, review.accepted_untouched) == (FRAMES, 1.0)
     (of_class,) = review.progress.proposals.by_class.values()
     assert (of_class.untouched, of_class.missed) == (FRAMES, 0)
+    # a moment that was looked through later changes what is counted
+    last, (still,) = posed.frames.of()[-1], posed.stills.of(1)
+    posed.stills.keep([Sighting(still.uid, last.id, last.moment_id, False, 0, 0.0, "")])
+    assert posed.statistics().progress.forecast.frames_done == FRAMES - 1
 
 
 def test_an_open_object_waits_in_a_frame_that_shows_it(posed: Project) -> None:

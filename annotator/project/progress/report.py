@@ -13,7 +13,7 @@ import numpy as np
 from sqlalchemy import Connection, case, func, select
 
 from annotator.project.audit.events import Effort
-from annotator.project.database.schema import BOTH_LABELS, events, frame_results, frames, image_labels
+from annotator.project.database.schema import BOTH_LABELS, events, frame_results, frames, image_labels, sightings
 from annotator.project.jobs import Status, latest_results
 from annotator.project.progress.reviewed import ORIGINS, UNTOUCHED, Action, ReviewedBox, read_log, read_reviewed
 from annotator.project.recordings import removed_recordings
@@ -422,11 +422,13 @@ class ReviewReader:
 
     def read(self, connection: Connection) -> Review:
         """The results of the transaction's moment."""
-        # labels and finalised frames change with events and removed recordings; scans change the frames, passes the
-        # results
+        # labels and finalised frames change with events and removed recordings, and with what is found of still
+        # objects; scans change the frames, passes the results
         present = select(func.group_concat(frames.c.id)).where(frames.c.position.is_not(None))
         newest = [select(func.max(table.c.id)) for table in (events, frame_results)]
-        key = (*(connection.execute(query).scalar() for query in (*newest, present)), removed_recordings(connection))
+        seen = select(func.count()).select_from(sightings).where(sightings.c.seen)
+        queries = (*newest, present, seen)
+        key = (*(connection.execute(query).scalar() for query in queries), removed_recordings(connection))
         with self._lock:
             if self._known is None or self._known[0] != key:
                 self._known = (key, _read(connection))
