@@ -202,6 +202,9 @@ def test_what_is_only_proposed_is_not_reviewed(posed: Project) -> None:
     forecast = posed.statistics().progress.forecast
     assert (forecast.frames_done, forecast.frames_left, forecast.proposals_open) == (0, FRAMES, FRAMES)
     frame = posed.frames.of()[0].id
+    posed.frames.finalise(frame, revised(posed, frame))
+    forecast = posed.statistics().progress.forecast
+    assert (forecast.frames_done, forecast.frames_left, forecast.proposals_open) == (1, FRAMES - 1, FRAMES - 1)
     (label,) = posed.labels.of_frame(frame)
     posed.log.append(frame, [LabelChanged(uid=label.uid, state=ReviewState.ACCEPTED)], revised(posed, frame))
     review = posed.statistics()

@@ -13,7 +13,15 @@ import numpy as np
 from sqlalchemy import Connection, case, func, select
 
 from annotator.project.audit.events import Effort
-from annotator.project.database.schema import BOTH_LABELS, events, frame_results, frames, image_labels, sightings
+from annotator.project.database.schema import (
+    BOTH_LABELS,
+    events,
+    frame_results,
+    frames,
+    image_labels,
+    sightings,
+    still_labels,
+)
 from annotator.project.jobs import Status, latest_results
 from annotator.project.progress.reviewed import ORIGINS, UNTOUCHED, Action, ReviewedBox, read_log, read_reviewed
 from annotator.project.recordings import removed_recordings
@@ -282,6 +290,8 @@ def _sorted_frames(connection: Connection) -> tuple[set[int], int, int, list[int
     for of in BOTH_LABELS:
         is_open = of.c.state == ReviewState.PROPOSED.value
         numbers = select(of.c.frame_id, func.sum(case((is_open, 1), else_=0)), func.count()).group_by(of.c.frame_id)
+        if of is still_labels:  # a pass has nothing to propose in a finalised frame
+            numbers = numbers.join(frames, frames.c.id == of.c.frame_id).where(~(is_open & frames.c.finalised))
         for frame_id, proposed, total in connection.execute(numbers):
             others = by_frame.get(frame_id, (0, 0))
             by_frame[frame_id] = others[0] + proposed, others[1] + total

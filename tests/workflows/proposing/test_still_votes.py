@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
-from annotator.project import Project, WriteContext, create_project
+from annotator.project import Project, WriteContext, create_project, new_action
 from annotator.project.changes import LabelChanged
 from annotator.project.classes.edit import StyleClass
 from annotator.project.rows import still_of
@@ -164,10 +164,18 @@ def test_a_pass_leaves_recordings_alone_through_which_it_does_not_go(
     assert [each.uid for each in tour.stills.of(1)] == before and tour.stills.of(number)
 
 
-def test_without_a_word_on_the_class_it_takes_a_long_look(tour: Project, recording: Recording) -> None:
+def test_without_a_word_on_the_class_it_takes_a_long_look(
+    tour: Project, recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
     tour.change_classes(StyleClass(name="object", style={"still": None}), "ann")
     assert annotate(tour, shaky(recording, 0), RcvConfig()).still == 0
     assert tour.stills.of(1) == () and tour.labels.count([ReviewState.PROPOSED]) > 0
+    monkeypatch.setattr(still_votes, "LEAST_SPAN", FRAMES - 2)
+    monkeypatch.setattr(still_votes, "STEADY_IOU", 1.0)
+    assert still_votes.vote_stills(tour, [1], "ann", new_action()) == 0
+    monkeypatch.undo()
+    monkeypatch.setattr(still_votes, "LEAST_SPAN", FRAMES - 2)
+    assert still_votes.vote_stills(tour, [1], "ann", new_action()) >= 2
 
 
 def look_from(angle: float, box: OrientedBox, shift: np.ndarray, scale: np.ndarray, frame: int) -> Vote:
