@@ -125,11 +125,13 @@ class _Rig:
 
     def _reviewed(self) -> dict[str, list[OrientedBox]]:
         """Where labels stay, in the world, by class."""
-        open_stills = set(_open_stills(self._project, self._recordings))
         found = defaultdict[str, list[OrientedBox]](list)
+        for one in self._project.stills.of(self._recordings[0]):
+            if not one.is_open:  # once, and not in each of thousands of frames
+                found[one.label].append(one.box)
         for each in self._project.labels.select(recordings=self._recordings):
-            is_open = each.label.state is ReviewState.PROPOSED and (each.still is None or each.still in open_stills)
-            if not is_open and each.frame_id in self._poses:
+            is_open = each.label.state is ReviewState.PROPOSED
+            if not is_open and each.still is None and each.frame_id in self._poses:
                 found[each.label.label].append(each.label.box.transformed(self._poses[each.frame_id]))
         return found
 
