@@ -45,6 +45,8 @@ def vote_stills(
         progress: called with (moments done, moments) while they are looked through; its exceptions end that.
     """
     count, done = 0, set[int]()
+    # each pass leaves a row for each object and moment; those of the one before stay for an undo of this one
+    project.stills.forget()
     for recording_id in recordings:
         stored = project.recordings.get(recording_id)
         if stored.rig_id in done or not project.stills.poses(recording_id):

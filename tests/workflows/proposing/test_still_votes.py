@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
+from sqlalchemy import func, select
 
 from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.geometry.iou import iou_3d
@@ -18,6 +19,7 @@ from annotator.geometry.outline import box_on_image
 from annotator.project import Project, WriteContext, create_project, new_action
 from annotator.project.changes import LabelChanged
 from annotator.project.classes.edit import StyleClass
+from annotator.project.database.schema import sightings, stills
 from annotator.project.rows import still_of
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.first_look import known_edges
@@ -115,6 +117,7 @@ def test_the_next_pass_replaces_what_is_open_and_nothing_else(tour: Project, rec
     assert {each.uid: each.box.center_m.tolist() for each in tour.stills.of(1)} == {
         uid: each.box.center_m.tolist() for uid, each in before.items()
     }
+    shown = tour.labels.count()
     annotate(tour, shaky(recording, 1), RcvConfig())
     after = {each.uid: each for each in tour.stills.of(1)}
     kept = {still_of(item.uid or "") for item in reviewed}
@@ -123,6 +126,17 @@ def test_the_next_pass_replaces_what_is_open_and_nothing_else(tour: Project, rec
     assert len(new) >= 2
     assert all(iou_3d(each.box, after[uid or ""].box) < 0.2 for each in new for uid in kept)
     assert {each.track_id for each in new}.isdisjoint(each.track_id for each in before.values())
+    shown_now = tour.labels.count()
+    tour.history.undo(AUTHOR)
+    assert tour.labels.count() == shown, "what was seen of the earlier ones is known"
+    tour.history.redo(AUTHOR)
+    assert tour.labels.count() == shown_now
+    gone = select(func.count()).where(sightings.c.still.not_in(select(stills.c.uid)))
+    with tour.store.read() as connection:
+        assert connection.execute(gone).scalar_one() > 0
+    tour.stills.forget()
+    with tour.store.read() as connection:
+        assert connection.execute(gone).scalar_one() == 0
     tour.history.undo(AUTHOR)
     assert tour.stills.of(1) and {each.uid for each in tour.stills.of(1)} == before.keys()
     events = list(tour.log.since())
