@@ -271,7 +271,7 @@ def still(
     with counted("look") as progress:
         looked = find_sightings(project, chosen, near=at, progress=progress)
     seen = Counter(each.label.track_id for each in project.labels.along(chosen) if each.still is not None)
-    for one in project.stills.of(chosen):
+    for one in (each for each in project.stills.of(chosen) if each.state is not ReviewState.REJECTED):
         stands = "is proposed to stand" if one.state is ReviewState.PROPOSED else "stands"
         print_line(f"track {one.track_id} ({one.label}) {stands} still, seen in {amount(seen[one.track_id], 'frame')}")
     print_line(f"looked through {amount(looked, 'frame')}")

@@ -169,11 +169,15 @@ class Estimates:
             if frame is None:
                 raise ProjectError(f"recording {recording_id} has no frames; nothing was changed")
             name = connection.execute(select(recordings.c.name).where(recordings.c.id == recording_id)).scalar_one()
-            context = WriteContext(frame.revision, author, effort_target=f"estimate the poses of {name}")
+            query = select(estimates.c.recording_id).where(of_same_rig(recording_id))
+            present = connection.execute(query).scalars().all()
+            if not (poses or present):
+                raise ProjectError(f"the poses of {name} are not estimated; nothing was changed")
+            what = f"{'estimate' if poses else 'drop the estimate of'} the poses of {name}"
+            context = WriteContext(frame.revision, author, effort_target=what)
             where = require_writable(connection, frame.id, context)
             write = Write(self.writer.store, connection, frame.id, where, context, new_action())
-            present = connection.execute(select(estimates.c.recording_id).where(of_same_rig(recording_id))).scalars()
-            for other in present.all():
+            for other in present:
                 write.put("estimates", other, None)
             if poses:
                 row = {"recording_id": recording_id, "poses": FRAME_POSES.dump_json(tuple(poses)).decode()}

@@ -73,7 +73,8 @@ def read_lanes(store: Store, recording_id: int) -> Lanes:
         found = connection.execute(select(frames.c.id).where(present).order_by(frames.c.position)).scalars().all()
         rows = connection.execute(boxes).all()
         rig = select(recordings.c.rig_id).where(recordings.c.id == recording_id).scalar_subquery()
-        still = set(connection.execute(select(stills.c.track_id).where(stills.c.rig_id == rig)).scalars())
+        is_there = stills.c.state != ReviewState.REJECTED.value
+        still = set(connection.execute(select(stills.c.track_id).where(stills.c.rig_id == rig, is_there)).scalars())
     places = {frame_id: place for place, frame_id in enumerate(found)}
     lanes = []
     for track_id, group in groupby(rows, key=lambda row: row[0]):

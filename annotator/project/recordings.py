@@ -494,10 +494,10 @@ def _world(T_world_camera: RigidTransform | None, T_cloud_camera: str | None) ->
     return None if T_world_camera is None else json.dumps(T_world_camera.as_matrix().tolist())
 
 
-def place_in_world(connection: Connection, recording_id: int) -> None:
+def place_in_world(connection: Connection, recording_id: int) -> bool:
     """Sets where the clouds of a rig are in the world: as was estimated, else as its recordings say it.
 
-    Where that changes, still objects are looked for again.
+    Where that changes, still objects are looked for again. Returns whether any has changed.
     """
     of_frames = select(frames.c.id, frames.c.key, frames.c.recording_id, frames.c.moment_id, frames.c.pose)
     of_frames = of_frames.add_columns(frames.c.world, frames.c.recorded_world)
@@ -517,6 +517,7 @@ def place_in_world(connection: Connection, recording_id: int) -> None:
             "place = iif(place IS NULL AND :new_world IS NOT NULL, NULL, ''), seen = seen AND :new_world IS NOT NULL"
         )
         connection.execute(text(f"UPDATE sightings SET {again} WHERE moment_id = :of_frame"), changed)
+    return bool(changed)
 
 
 def of_same_rig(recording_id: int) -> ColumnElement[bool]:

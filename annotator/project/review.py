@@ -12,7 +12,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Float, Select, Table, Text, and_, case, cast, func, literal, null, select
 
 from annotator.project.classes.attributes import Value, value_text
-from annotator.project.database.schema import ALL_LABELS, AnyRow, frames, own_labels, sightings, still_labels, stills
+from annotator.project.database.schema import ALL_LABELS, AnyRow, frames, own_labels, sightings, still_labels
 from annotator.project.database.store import Store
 from annotator.project.frames import FRAME_COLUMNS, StoredFrame
 from annotator.project.records import OWN
@@ -24,12 +24,11 @@ labels = own_labels
 # An open object that stands still waits once: in the frame that sees most of it.
 _MOST = func.max(sightings.c.points * (1.0 - sightings.c.hidden_share)).label("most")
 _OPEN_STILLS = (
-    select((-sightings.c.id).label("id"), _MOST)  # SQLite takes the id from the row with the maximum
-    .join(stills, stills.c.uid == sightings.c.still)
-    .join(frames, frames.c.id == sightings.c.frame_id)
-    .where(stills.c.state == ReviewState.PROPOSED.value, sightings.c.seen, frames.c.position.is_not(None))
-    .where(~frames.c.finalised, ~sightings.c.hidden)
-    .group_by(stills.c.uid)
+    select(still_labels.c.id, _MOST)  # SQLite takes the id from the row with the maximum
+    .join(sightings, sightings.c.uid == still_labels.c.uid)
+    .join(frames, frames.c.id == still_labels.c.frame_id)
+    .where(still_labels.c.state == ReviewState.PROPOSED.value, frames.c.position.is_not(None), ~frames.c.finalised)
+    .group_by(sightings.c.still)
     .subquery()
 )
 

@@ -14,7 +14,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
-from sqlalchemy import Connection, func, select
+from sqlalchemy import Connection, delete, func, select
 
 from annotator.project.audit.writing import Receipt
 from annotator.project.database.schema import frames, recordings, sightings, stills
@@ -143,6 +143,12 @@ class Stills:
         """Keeps what moments see, in the place of what they saw before."""
         with self.writer.store.write() as connection:
             _keep(connection, found)
+
+    def forget(self) -> None:
+        """Forgets what moments see of objects that are gone. If an undo brings one back, that is looked for again."""
+        is_gone = sightings.c.still.not_in(select(stills.c.uid)) & sightings.c.place.is_not(None)
+        with self.writer.store.write() as connection:
+            connection.execute(delete(sightings).where(is_gone))
 
     def change(
         self, parts: Sequence[FramePart], seen: Sequence[Sighting] = (), action: str | None = None

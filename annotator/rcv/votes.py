@@ -37,7 +37,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
-from annotator.geometry.iou import iou_3d, iou_3d_matrix
+from annotator.geometry.iou import iou_3d_matrix
 from annotator.geometry.oriented_box import box_corners, canonical_box
 from annotator.geometry.outline import NEAR_M
 from annotator.rcv.first_look import edge_planes
@@ -92,6 +92,12 @@ class Vote:
         sigma_m[:, 0] = np.inf
         return Intervals(directions, ends, sigma_m)
 
+    @property
+    def has_outline(self) -> bool:
+        """Whether an edge is known on each axis. What fills the image agrees with anything before the camera."""
+        left, right, top, bottom = (edge is not None for edge in self.edges or (None,) * 4)
+        return (left or right) and (top or bottom)
+
     def sides(self, doubt: float) -> Intervals:
         """The box's own three intervals in the world."""
         ends = _reach(self.in_world, directions := self.in_world.rotation.T)
@@ -133,20 +139,35 @@ class Agreed:
 
 def grouped(votes: Iterable[Vote]) -> list[list[Vote]]:
     """Votes of a class that overlap in the world, in the order of their frames; each vote is in one group."""
-    groups: dict[str, list[list[Vote]]] = defaultdict(list)
+    of_classes = defaultdict[str, list[Vote]](list)
     for vote in sorted(votes, key=lambda each: (each.frame, -each.score)):
-        known = [group for group in groups[vote.label] if group[-1].frame != vote.frame]
-        some = [group[:: max(len(group) // COMPARED, 1)][-COMPARED:] for group in known]
+        of_classes[vote.label].append(vote)
+    return [group for of_class in of_classes.values() for group in _grouped(of_class)]
+
+
+def _grouped(votes: Sequence[Vote]) -> list[list[Vote]]:
+    """The groups of one class. What moves makes a group in each frame, so only those nearby are compared."""
+    groups: list[list[Vote]] = []
+    # spheres around all boxes of each group
+    centers_m, reaches_m = np.zeros((len(votes), 3)), np.zeros(len(votes))
+    for vote in votes:
+        center_m, reach_m = vote.in_world.center_m, float(np.linalg.norm(vote.in_world.size_m)) / 2
+        apart_m = np.linalg.norm(centers_m[: len(groups)] - center_m, axis=1)
+        near = np.flatnonzero(apart_m <= reaches_m[: len(groups)] + reach_m).tolist()
+        known = [number for number in near if groups[number][-1].frame != vote.frame]
+        some = [groups[number][:: max(len(groups[number]) // COMPARED, 1)][-COMPARED:] for number in known]
         boxes = [each.in_world for group in some for each in group]
         ious = iou_3d_matrix([vote.in_world], boxes)[0] if boxes else np.zeros(0)
         starts = np.cumsum([0, *map(len, some)])
         means = [float(ious[a:b].mean()) for a, b in pairwise(starts)]
         best = int(np.argmax(means)) if means else -1
         if best >= 0 and means[best] >= SAME_IOU:
-            known[best].append(vote)
+            groups[known[best]].append(vote)
+            reaches_m[known[best]] = max(reaches_m[known[best]], apart_m[known[best]] + reach_m)
         else:
-            groups[vote.label].append([vote])
-    return [group for of_class in groups.values() for group in of_class]
+            centers_m[len(groups)], reaches_m[len(groups)] = center_m, reach_m
+            groups.append([vote])
+    return groups
 
 
 def agreed(groups: Sequence[Sequence[Vote]]) -> list[Agreed]:
@@ -159,20 +180,23 @@ def agreed(groups: Sequence[Sequence[Vote]]) -> list[Agreed]:
         if not same or iou_3d_matrix([box], same).max() <= NMS_IOU:
             kept.append((group, box, iou))
     taken = {id(vote) for group, *_ in kept for vote in group}
-    left = [vote for group in groups for vote in group if id(vote) not in taken]
+    frames, more = [{vote.frame for vote in group} for group, *_ in kept], [list[Vote]() for _ in kept]
+    of_classes = defaultdict[str, list[int]](list)
+    for number, (group, *_) in enumerate(kept):
+        of_classes[group[0].label].append(number)
+    for vote in (vote for group in groups for vote in group if id(vote) not in taken):
+        others = [number for number in of_classes[vote.label] if vote.frame not in frames[number]]
+        if not others:
+            continue
+        boxes = [kept[number][1] for number in others]
+        fits = iou_3d_matrix([vote.in_world], boxes)[0] >= SAME_IOU
+        if vote.has_outline:
+            fits |= vote.agreements(np.stack([box_corners(box) for box in boxes])) >= SAME_OUTLINE
+        if fits.any():
+            more[others[int(np.argmax(fits))]].append(vote)
     objects = []
-    for group, box, iou in kept:
-        corners, frames = box_corners(box)[None], {vote.frame for vote in group}
-        more = [
-            vote
-            for vote in left
-            if vote.label == group[0].label
-            and vote.frame not in frames
-            and (iou_3d(vote.in_world, box) >= SAME_IOU or (vote.edges and vote.agreements(corners)[0] >= SAME_OUTLINE))
-        ]
-        gone = {id(vote) for vote in more}
-        left = [vote for vote in left if id(vote) not in gone]
-        votes = (*group, *more)
+    for (group, box, iou), further in zip(kept, more, strict=True):
+        votes = (*group, *further)
         score = float(np.mean([vote.score for vote in votes]))
         objects.append(Agreed(group[0].label, box, votes, score, 1 - iou))
     return objects

@@ -13,17 +13,19 @@ from typing import Any
 import pytest
 from scipy.spatial.transform import RigidTransform
 from sqlalchemy.exc import IntegrityError
-from store_samples import box_at, by_hand, damage, some_boxes, stored_state
+from store_samples import box_at, by_hand, damage, revised, some_boxes, stored_state
 
 from annotator.project import NewLabel, Project, StoredRecording, open_project
 from annotator.project.backup.make import back_up
 from annotator.project.backup.repair import repair
 from annotator.project.backup.take_in import copy_project
 from annotator.project.backup.verify import verify
+from annotator.project.changes import StillMade
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind
 from annotator.project.database.schema import columns_of
 from annotator.project.recordings import SharedCloud
+from annotator.project.records import FramePose
 from annotator.types import BoxKind
 from annotator.types.errors import ProjectError
 
@@ -220,6 +222,25 @@ def test_labels_whose_events_were_deleted_are_taken_from_the_tables(full: Path, 
     saved = stored_state(repaired.path)
     assert sorted(str(row[BOX]) for row in saved["labels"]) == sorted(str(row[BOX]) for row in whole["labels"])
     assert {table: len(rows) for table, rows in saved.items()} == {table: len(rows) for table, rows in whole.items()}
+
+
+def test_estimated_poses_are_saved_with_what_stands_still_by_them(project: Project, tmp_path: Path) -> None:
+    recording = project.recordings.add(tmp_path / "take", "rgbd", "take", ["0", "1"], True).id
+    frame = next(iter(project.frames.of([recording]))).id
+    steps = [RigidTransform.from_translation([float(n), 0.0, 0.0]) for n in range(2)]
+    poses = [FramePose.of(str(n), T, 0.9, 0.0, 0.5) for n, T in enumerate(steps)]
+    project.estimates.keep(recording, poses, "ann")
+    new = NewLabel("hand", box_at(), track_id=1)
+    project.labels.create(frame, [new], revised(project, frame))
+    project.log.append(frame, [StillMade(uid=new.uid)], revised(project, frame))
+    project.close()
+    with without_triggers(project.path) as connection:
+        connection.execute("DELETE FROM events")
+    repaired = repair(project.path, "saved")
+    assert repaired.lost["states"] == 0
+    with open_project(repaired.path) as saved:
+        assert saved.estimates.of(recording) == tuple(poses) and len(saved.stills.of(recording)) == 1
+        assert len(saved.stills.poses(recording)) == 2
 
 
 def test_a_truncated_database_is_read_as_far_as_it_goes(full: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +14,18 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 from store_samples import box_at, by_hand, revised, version_of
 
-from annotator.project import FramePart, NewLabel, Project, create_project, open_project
+from annotator.project import REVIEWED, FramePart, NewLabel, Project, create_project, open_project
 from annotator.project.backup.verify import verify
-from annotator.project.changes import LabelChanged, StillMade
+from annotator.project.changes import LabelChanged, LabelDeleted, StillMade, StillProposal, StillsProposed
 from annotator.project.database.migrations import APPLICATION_ID, MIGRATIONS
 from annotator.project.database.store import driver_of
+from annotator.project.lanes import read_lanes
 from annotator.project.records import BoxRecord
+from annotator.project.review import By, waiting
+from annotator.project.rows import still_of
 from annotator.project.stills import Sighting
-from annotator.types import Correction, OrientedBox, ReviewState
-from annotator.types.errors import ProjectError
+from annotator.types import Correction, OrientedBox, ReviewState, Source
+from annotator.types.errors import ProjectError, StaleRevisionError
 
 FRAMES = 4
 
@@ -176,3 +180,75 @@ def test_what_detectors_find_of_it_is_covered(posed: Project) -> None:
     (brought,) = posed.proposals.bring("their detector", {third: [NewLabel("hand", box_at(0.05), 0.9), other]}).values()
     assert brought.is_open == (False, True)
     assert [label.track_id for label in posed.labels.of_frame(third)] == [1, None], "its track is taken there"
+
+
+def proposed_still(project: Project) -> StillProposal:
+    """Proposes an object that stands still, which all frames see, the second one best."""
+    first = project.frames.of()[0].id
+    new = StillProposal("hand", box_at(1.0), 1, 0.5, 0.5)
+    project.log.append(first, [StillsProposed([new])], replace(revised(project, first), source=Source.AUTO))
+    project.stills.keep(
+        [
+            Sighting(new.uid, each.id, each.moment_id, True, 9 if each.index == 1 else 5 - (each.index or 0), 0.0, "")
+            for each in project.frames.of()
+        ]
+    )
+    return new
+
+
+def test_what_is_only_proposed_is_not_reviewed(posed: Project) -> None:
+    proposed_still(posed)
+    assert posed.labels.frames(states=REVIEWED) == frozenset()
+    forecast = posed.statistics().progress.forecast
+    assert (forecast.frames_done, forecast.frames_left, forecast.proposals_open) == (0, FRAMES, FRAMES)
+    frame = posed.frames.of()[0].id
+    posed.frames.finalise(frame, revised(posed, frame))
+    forecast = posed.statistics().progress.forecast
+    assert (forecast.frames_done, forecast.frames_left, forecast.proposals_open) == (1, FRAMES - 1, FRAMES - 1)
+    (label,) = posed.labels.of_frame(frame)
+    posed.log.append(frame, [LabelChanged(uid=label.uid, state=ReviewState.ACCEPTED)], revised(posed, frame))
+    review = posed.statistics()
+    assert (review.progress.forecast.frames_done, review.accepted_untouched) == (FRAMES, 1.0)
+    (of_class,) = review.progress.proposals.by_class.values()
+    assert (of_class.untouched, of_class.missed) == (FRAMES, 0)
+    # a moment that was looked through later changes what is counted
+    last, (still,) = posed.frames.of()[-1], posed.stills.of(1)
+    posed.stills.keep([Sighting(still.uid, last.id, last.moment_id, False, 0, 0.0, "")])
+    assert posed.statistics().progress.forecast.frames_done == FRAMES - 1
+
+
+def test_an_open_object_waits_in_a_frame_that_shows_it(posed: Project) -> None:
+    frames = [each.id for each in posed.frames.of()]
+    new = proposed_still(posed)
+    (item,), _ = waiting(posed.store, By.DOUBT)
+    assert item.frame.id == frames[1]
+    # not visible there after all
+    posed.log.append(frames[1], [LabelDeleted(uid=item.uid or "", here=True)], revised(posed, frames[1]))
+    (item,), total = waiting(posed.store, By.DOUBT)
+    assert (item.frame.id, total, still_of(item.uid or "")) == (frames[0], 1, new.uid)
+
+
+def test_a_number_whose_object_was_rejected_may_move(posed: Project) -> None:
+    proposed_still(posed)
+    frame = posed.frames.of()[0].id
+    (label,) = posed.labels.of_frame(frame)
+    assert [lane.still for lane in read_lanes(posed.store, 1).lanes] == [True]
+    posed.log.append(frame, [LabelChanged(uid=label.uid, state=ReviewState.REJECTED)], revised(posed, frame))
+    posed.labels.create(frame, [NewLabel("hand", box_at(3.0), track_id=1)], revised(posed, frame))
+    assert [lane.still for lane in read_lanes(posed.store, 1).lanes] == [False]
+
+
+def test_a_pass_does_not_remove_what_was_decided_in_a_frame_that_it_does_not_change(posed: Project) -> None:
+    first, second, *_ = posed.frames.of()
+    new = StillProposal("hand", box_at(1.0), 1, 0.5, 0.5)
+    pass_of = replace(revised(posed, first.id), source=Source.AUTO)
+    posed.log.append(first.id, [StillsProposed([new])], pass_of)
+    posed.stills.keep([Sighting(new.uid, second.id, second.moment_id, True)])
+    (shown,) = posed.labels.of_frame(second.id)
+    again = StillsProposed([StillProposal("hand", box_at(1.0), 2, 0.5, 0.5)], [new.uid])
+    accept = LabelChanged(uid=shown.uid, state=ReviewState.ACCEPTED)
+    posed.log.append(second.id, [accept], revised(posed, second.id))
+    pass_of = replace(revised(posed, first.id), source=Source.AUTO)
+    with pytest.raises(StaleRevisionError, match="an object that stands still"):
+        posed.log.append(first.id, [again], pass_of)
+    assert [(each.uid, each.state) for each in posed.stills.of(1)] == [(new.uid, ReviewState.ACCEPTED)]

@@ -32,7 +32,7 @@ from annotator.project.database.schema import columns_of
 from annotator.project.records import OWN, BoxRecord, suggestion_json
 from annotator.project.rows import Row, said_json, still_of, values_json, values_of
 from annotator.types import Proposal, ReviewState, Source
-from annotator.types.errors import ProjectError
+from annotator.types.errors import ProjectError, StaleRevisionError
 from annotator.types.label import AttributeValue, Said
 
 
@@ -75,7 +75,7 @@ def make(write: Write, payload: Payload) -> None:
             _make_still(write, payload)
         case StillsProposed():
             for uid in payload.removed:
-                write.put("stills", uid, None)
+                _remove_open_still(write, uid)
             for each in payload.new:
                 _propose_still(write, each)
         case FrameAttributesSet():
@@ -292,6 +292,14 @@ def _make_still(write: Write, payload: StillMade) -> None:
     _remove(write, payload.uid)
     still = {"uid": payload.still, "rig_id": write.rig_id, "track_id": row["track_id"], "box": box}
     write.put("stills", payload.still, {name: row[name] for name in STILL_COLUMNS} | still)
+
+
+def _remove_open_still(write: Write, uid: str) -> None:
+    """Removes the proposal of the pass before; refused if somebody has decided about it since, from any frame."""
+    row, revision = write.row("stills", uid), write.context.revision
+    if row is None or row["state"] != ReviewState.PROPOSED.value or row["values_set"]:
+        raise StaleRevisionError(f"{write.where}: an object that stands still", revision, revision + 1)
+    write.put("stills", uid, None)
 
 
 def _propose_still(write: Write, new: StillProposal) -> None:

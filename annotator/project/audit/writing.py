@@ -314,8 +314,8 @@ class Write:
                 track_id,
             ) from error
         for row in (row for event in stored for row in event.rows if row.table == "estimates"):
-            require_nothing_still(self.connection, int(row.key))
-            place_in_world(self.connection, int(row.key))
+            if place_in_world(self.connection, int(row.key)):  # a repair finds the world as it was
+                require_nothing_still(self.connection, int(row.key))
         # changes in other frames that are based on the earlier still object are refused
         moved = {row.key for event in stored for row in event.rows if row.table == "stills" and row.is_update}
         see = "moment_id IN (SELECT moment_id FROM sightings WHERE still = ? AND seen = 1)"

@@ -13,8 +13,15 @@ import numpy as np
 from sqlalchemy import Connection, case, func, select
 
 from annotator.project.audit.events import Effort
-from annotator.project.database.schema import events, frame_results, frames, image_labels, still_labels
-from annotator.project.database.schema import own_labels as labels
+from annotator.project.database.schema import (
+    BOTH_LABELS,
+    events,
+    frame_results,
+    frames,
+    image_labels,
+    sightings,
+    still_labels,
+)
 from annotator.project.jobs import Status, latest_results
 from annotator.project.progress.reviewed import ORIGINS, UNTOUCHED, Action, ReviewedBox, read_log, read_reviewed
 from annotator.project.recordings import removed_recordings
@@ -217,7 +224,7 @@ class Forecast(Strict):
         frames_done: reviewed, labelled as empty, or finalised.
         frames_left: with open proposals, or without labels.
         frames_found_empty: in which the latest pass has found nothing; no work is expected for them.
-        proposals_open: number.
+        proposals_open: number; those of an object that stands still, in each frame that sees it.
         boxes_left: the open proposals, and as many boxes in each bare frame as in those done last; None with fewer than
             10 frames or boxes to judge by.
         boxes_an_hour: at work, breaks left out, in the frames done last, with the slowest and the fastest quarter of
@@ -279,11 +286,15 @@ def _sorted_frames(connection: Connection) -> tuple[set[int], int, int, list[int
         number of those that nobody and nothing has looked at; the number of those in which the latest pass has found
         nothing, and which nobody has looked at; the numbers of open proposals of the others.
     """
-    is_open = labels.c.state == ReviewState.PROPOSED.value
-    numbers = select(labels.c.frame_id, func.sum(case((is_open, 1), else_=0)), func.count()).group_by(labels.c.frame_id)
-    # none of those that stand still is open
-    by_frame = dict.fromkeys(connection.execute(select(still_labels.c.frame_id).distinct()).scalars(), (0, 1))
-    by_frame |= {frame_id: (waiting, total) for frame_id, waiting, total in connection.execute(numbers)}
+    by_frame = dict[int, tuple[int, int]]()
+    for of in BOTH_LABELS:
+        is_open = of.c.state == ReviewState.PROPOSED.value
+        numbers = select(of.c.frame_id, func.sum(case((is_open, 1), else_=0)), func.count()).group_by(of.c.frame_id)
+        if of is still_labels:  # a pass has nothing to propose in a finalised frame
+            numbers = numbers.join(frames, frames.c.id == of.c.frame_id).where(~(is_open & frames.c.finalised))
+        for frame_id, proposed, total in connection.execute(numbers):
+            others = by_frame.get(frame_id, (0, 0))
+            by_frame[frame_id] = others[0] + proposed, others[1] + total
     on_images = select(image_labels.c.frame_id, image_labels.c["count"])
     drawn = {row[0]: row[1] for row in connection.execute(on_images)}
     nothing = (frame_results.c.status == Status.DONE.value) & (frame_results.c.proposals == 0)
@@ -421,11 +432,13 @@ class ReviewReader:
 
     def read(self, connection: Connection) -> Review:
         """The results of the transaction's moment."""
-        # labels and finalised frames change with events and removed recordings; scans change the frames, passes the
-        # results
+        # labels and finalised frames change with events and removed recordings, and with what is found of still
+        # objects; scans change the frames, passes the results
         present = select(func.group_concat(frames.c.id)).where(frames.c.position.is_not(None))
         newest = [select(func.max(table.c.id)) for table in (events, frame_results)]
-        key = (*(connection.execute(query).scalar() for query in (*newest, present)), removed_recordings(connection))
+        seen = select(func.count()).select_from(sightings).where(sightings.c.seen)
+        queries = (*newest, present, seen)
+        key = (*(connection.execute(query).scalar() for query in queries), removed_recordings(connection))
         with self._lock:
             if self._known is None or self._known[0] != key:
                 self._known = (key, _read(connection))

@@ -231,11 +231,12 @@ def _compared(rows: Sequence[AnyRow], log: ActionLog, terms: Terms) -> dict[str,
     results: dict[str, tuple[float, bool]] = {}
     changed, then, same_class = list[AnyRow](), list[str](), list[bool]()
     for row in rows:
+        uid = still_of(row.uid) or row.uid
         # a copy was open, too, but nobody else proposed it
-        if row.uid not in log.proposed or row.origin is not None:
+        if uid not in log.proposed or row.origin not in (None, Origin.STILL):
             continue
-        box = log.first.get((row.uid, "box"), row.box)
-        is_same = terms.names[log.first.get((row.uid, "class_id"), row.class_id)] == row.label
+        box = log.first.get((uid, "box"), row.box)
+        is_same = terms.names[log.first.get((uid, "class_id"), row.class_id)] == row.label
         if box == row.box and is_same:
             results[row.uid] = (1.0, True)
         else:

@@ -127,8 +127,8 @@ class Batch:
                 if attempt == WRITE_ATTEMPTS:
                     raise
 
-    def vote(self, recordings: Sequence[int] | None = None, progress: Progress | None = None) -> None:
-        """Proposes what stands still once for all frames, after a pass over recordings (None = all)."""
+    def vote(self, progress: Progress | None = None) -> None:
+        """Proposes what stands still once for all frames, in the recordings through which the batch has gone."""
         frames = self.summary.frames
 
         def beat(*_: int) -> None:
@@ -136,8 +136,8 @@ class Batch:
                 progress(frames, frames)
 
         if self.summary.done:
-            chosen = [each.id for each in self.project.recordings.all()] if recordings is None else recordings
-            self.summary.still = vote_stills(self.project, chosen, self.author, self.action, self.box_kind, beat)
+            gone_through = sorted(self.recordings)
+            self.summary.still = vote_stills(self.project, gone_through, self.author, self.action, self.box_kind, beat)
 
     def _require_unadjusted(self, recording_id: int) -> None:
         """Refuses results that were found before the recording's cloud was moved, or its up direction changed."""
@@ -228,7 +228,7 @@ def annotate_with(
         engine.close()
         raise
     project.jobs.finish(run.id)
-    batch.vote(recordings, progress)
+    batch.vote(progress)
     batch.summary.seconds = time.perf_counter() - begin
     return batch.summary
 

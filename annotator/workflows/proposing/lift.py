@@ -200,7 +200,7 @@ def lift(
         if progress is not None:
             progress(done, len(frames))
     project.jobs.finish(run.id)
-    batch.vote(sorted({frame.recording_id for frame in frames}), progress)
+    batch.vote(progress)
     batch.summary.seconds = time.perf_counter() - begin
     return batch.summary
 

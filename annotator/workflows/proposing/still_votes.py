@@ -18,7 +18,7 @@ from annotator.project import FramePart, Project, StoredFrame, WriteContext
 from annotator.project.changes import LabelDeleted, Payload, StillProposal, StillsProposed
 from annotator.rcv.votes import SAME_IOU, Agreed, Vote, agreed, grouped
 from annotator.types import BoxKind, OrientedBox, ReviewState, Source
-from annotator.types.errors import StaleRevisionError
+from annotator.types.errors import FinalisedFrameError, StaleRevisionError, TrackTakenError
 from annotator.workflows.tracks.still_objects import find_sightings
 
 AUTHOR = "rcv"  # of proposals
@@ -45,6 +45,8 @@ def vote_stills(
         progress: called with (moments done, moments) while they are looked through; its exceptions end that.
     """
     count, done = 0, set[int]()
+    # each pass leaves a row for each object and moment; those of the one before stay for an undo of this one
+    project.stills.forget()
     for recording_id in recordings:
         stored = project.recordings.get(recording_id)
         if stored.rig_id in done or not project.stills.poses(recording_id):
@@ -54,7 +56,7 @@ def vote_stills(
             try:
                 count += _Rig(project, stored.rig_id).propose(author, action, box_kind)
                 break
-            except StaleRevisionError:  # an operator has changed a frame; what is reviewed now is left out
+            except (StaleRevisionError, FinalisedFrameError, TrackTakenError):  # by an operator, meanwhile
                 if attempt == ATTEMPTS:
                     raise
         find_sightings(project, recording_id, progress=progress)
@@ -125,11 +127,13 @@ class _Rig:
 
     def _reviewed(self) -> dict[str, list[OrientedBox]]:
         """Where labels stay, in the world, by class."""
-        open_stills = set(_open_stills(self._project, self._recordings))
         found = defaultdict[str, list[OrientedBox]](list)
+        for one in self._project.stills.of(self._recordings[0]):
+            if not one.is_open:  # once, and not in each of thousands of frames
+                found[one.label].append(one.box)
         for each in self._project.labels.select(recordings=self._recordings):
-            is_open = each.label.state is ReviewState.PROPOSED and (each.still is None or each.still in open_stills)
-            if not is_open and each.frame_id in self._poses:
+            is_open = each.label.state is ReviewState.PROPOSED
+            if not is_open and each.still is None and each.frame_id in self._poses:
                 found[each.label.label].append(each.label.box.transformed(self._poses[each.frame_id]))
         return found
 

@@ -51,7 +51,7 @@ class StandStill(OfSpan):
 
     def steps(self, track: Track) -> Iterator[Step]:
         boxes, T_camera_world = track.of_frames(), track.project.stills.poses(track.recording_id)
-        if any(each.still is not None for _, each in boxes):
+        if any(each.still is not None and not is_rejected(each) for _, each in boxes):
             raise ConfigError(f"{track.name} stands still already")
         frame, chosen = self._chosen(track, T_camera_world)
         box, made = chosen.label.box.transformed(T_camera_world[frame.id].inv()), StillMade(uid=chosen.label.uid)
@@ -99,7 +99,7 @@ class Move(OfSpan):
     frame: FrameId | None = None
 
     def steps(self, track: Track) -> Iterator[Step]:
-        ones = [(frame, each) for frame, each in track.of_frames() if each.still is not None]
+        ones = [(frame, each) for frame, each in track.of_frames() if each.still is not None and not is_rejected(each)]
         if not ones:
             raise ConfigError(f"{track.name} does not stand still, or no frame was found that sees it")
         first = next((pair for pair in ones if self.frame in (None, pair[0].id)), None)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from bisect import bisect
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.spatial.transform import RigidTransform
 
 from annotator.project import REVIEWED, Project, StoredFrame
 from annotator.recordings.frame_times import recorded_times
+from annotator.recordings.poses import between
 from annotator.recordings.recording import Recording
 from annotator.tracking.link import frame_times
 from annotator.types import Frame, Label, OrientedBox
@@ -60,7 +62,11 @@ def moved(box: OrientedBox, T_first_world: Matrix | None, T_second_world: Matrix
 
 
 class Motion:
-    """How the camera of a recording moved, as its poses say; a frame without one has that of the nearest with one."""
+    """How the camera of a recording moved, as its poses say.
+
+    A frame without one is between the nearest frames before and after that have one; at the ends, it has that of the
+    nearest.
+    """
 
     def __init__(self, project: Project, recording_id: int, among: Sequence[int] | None = None) -> None:
         """
@@ -74,13 +80,23 @@ class Motion:
         order = list(every) if among is None else list(among)
         posed = [n for n, id in enumerate(order) if id in self._T_camera_world]
         for n, id in enumerate(order):
-            near = min(posed[max(bisect(posed, n) - 1, 0) :][:2], key=lambda other: abs(other - n))
-            self._T_camera_world.setdefault(id, self._T_camera_world[order[near]])
+            if id not in self._T_camera_world:
+                after = bisect(posed, n)
+                first, last = posed[max(after - 1, 0)], posed[min(after, len(posed) - 1)]
+                start, end = (RigidTransform.from_matrix(self._T_camera_world[order[m]]).inv() for m in (first, last))
+                T_world_camera = between(start, end, (n - first) / (last - first) if first < last else 0.0)
+                assert T_world_camera is not None  # both are known
+                self._T_camera_world[id] = T_world_camera.inv().as_matrix()
 
     @property
     def is_known(self) -> bool:
         """Whether any frame has a pose."""
         return bool(self._T_camera_world)
+
+    def pose(self, frame_id: int) -> RigidTransform | None:
+        """`T_world_camera` of a frame; None if no frame has a pose."""
+        T = self._T_camera_world.get(frame_id)
+        return None if T is None else RigidTransform.from_matrix(T).inv()
 
     def moved(self, box: OrientedBox, frame_id: int, to: int) -> OrientedBox:
         """As `moved`, from a frame to another one (ids)."""
@@ -128,8 +144,11 @@ class Timeline:
         return self.motion.moved(box, self.frames[index].id, self.frames[to].id)
 
     def moment(self, index: int) -> Moment:
-        """Reads a frame."""
-        return Moment(index, self._read(index), float(self.times[index]))
+        """Reads a frame; where its pose is missing, it has that of `motion`."""
+        frame = self._read(index)
+        if frame.T_world_camera is None and (T := self.motion.pose(self.frames[index].id)) is not None:
+            frame = replace(frame, T_world_camera=T)
+        return Moment(index, frame, float(self.times[index]))
 
     def key_frames(self, track_id: int) -> list[KeyFrame]:
         """Returns the key frames of a track, in order."""

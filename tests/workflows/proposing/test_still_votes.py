@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -10,23 +11,27 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
+from sqlalchemy import func, select
 
 from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
-from annotator.project import Project, WriteContext, create_project
+from annotator.project import Project, WriteContext, create_project, new_action
 from annotator.project.changes import LabelChanged
 from annotator.project.classes.edit import StyleClass
+from annotator.project.database.schema import sightings, stills
 from annotator.project.rows import still_of
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.first_look import known_edges
-from annotator.rcv.votes import Vote, agreed, grouped
+from annotator.rcv.votes import Agreed, Vote, agreed, grouped
 from annotator.recordings import Recording, open_recording
 from annotator.synthetic import write_generated
 from annotator.types import Camera, OrientedBox, ReviewState
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.proposing.annotate import AUTHOR, annotate
+from annotator.workflows.proposing import still_votes
+from annotator.workflows.proposing.annotate import annotate
+from annotator.workflows.proposing.still_votes import AUTHOR
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.link import link_tracks
 from annotator.workflows.workbench.review_queue import Order, doubt, queue
@@ -112,6 +117,7 @@ def test_the_next_pass_replaces_what_is_open_and_nothing_else(tour: Project, rec
     assert {each.uid: each.box.center_m.tolist() for each in tour.stills.of(1)} == {
         uid: each.box.center_m.tolist() for uid, each in before.items()
     }
+    shown = tour.labels.count()
     annotate(tour, shaky(recording, 1), RcvConfig())
     after = {each.uid: each for each in tour.stills.of(1)}
     kept = {still_of(item.uid or "") for item in reviewed}
@@ -120,16 +126,70 @@ def test_the_next_pass_replaces_what_is_open_and_nothing_else(tour: Project, rec
     assert len(new) >= 2
     assert all(iou_3d(each.box, after[uid or ""].box) < 0.2 for each in new for uid in kept)
     assert {each.track_id for each in new}.isdisjoint(each.track_id for each in before.values())
+    shown_now = tour.labels.count()
+    tour.history.undo(AUTHOR)
+    assert tour.labels.count() == shown, "what was seen of the earlier ones is known"
+    tour.history.redo(AUTHOR)
+    assert tour.labels.count() == shown_now
+    gone = select(func.count()).where(sightings.c.still.not_in(select(stills.c.uid)))
+    with tour.store.read() as connection:
+        assert connection.execute(gone).scalar_one() > 0
+    tour.stills.forget()
+    with tour.store.read() as connection:
+        assert connection.execute(gone).scalar_one() == 0
     tour.history.undo(AUTHOR)
     assert tour.stills.of(1) and {each.uid for each in tour.stills.of(1)} == before.keys()
     events = list(tour.log.since())
     assert tour.log.rebuild() == len(events) and tour.problems() == []
 
 
-def test_without_a_word_on_the_class_it_takes_a_long_look(tour: Project, recording: Recording) -> None:
+def test_what_an_operator_decides_while_a_pass_votes_stays(
+    tour: Project, recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    annotate(tour, shaky(recording, 0), RcvConfig())
+    first = tour.frames.of()[0]
+    item = next(each for each in queue(tour, Order.TIME).items if still_of(each.uid or ""))
+
+    def decide(groups: list[list[Vote]]) -> list[Agreed]:
+        monkeypatch.undo()
+        context = WriteContext(tour.frames.get(item.frame.id).revision, "ann")
+        tour.log.append(item.frame.id, [LabelChanged(uid=item.uid or "", state=ReviewState.ACCEPTED)], context)
+        return agreed(groups)
+
+    def finalise(groups: list[list[Vote]]) -> list[Agreed]:
+        monkeypatch.setattr(still_votes, "agreed", decide)
+        tour.frames.finalise(first.id, WriteContext(tour.frames.get(first.id).revision, "ann"))
+        return agreed(groups)
+
+    monkeypatch.setattr(still_votes, "agreed", finalise)
+    assert annotate(tour, shaky(recording, 1), RcvConfig()).still >= 2
+    states = {each.uid: each.state for each in tour.stills.of(1)}
+    assert states[still_of(item.uid or "") or ""] is ReviewState.ACCEPTED
+
+
+def test_a_pass_leaves_recordings_alone_through_which_it_does_not_go(
+    tour: Project, recording: Recording, tmp_path: Path
+) -> None:
+    annotate(tour, shaky(recording, 0), RcvConfig())
+    before = [each.uid for each in tour.stills.of(1)]
+    other = open_recording(shutil.copytree(recording.path, tmp_path / "other"))
+    number = register_recording(tour, other).id
+    assert annotate(tour, shaky(other, 0), RcvConfig()).done == FRAMES
+    assert [each.uid for each in tour.stills.of(1)] == before and tour.stills.of(number)
+
+
+def test_without_a_word_on_the_class_it_takes_a_long_look(
+    tour: Project, recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
     tour.change_classes(StyleClass(name="object", style={"still": None}), "ann")
     assert annotate(tour, shaky(recording, 0), RcvConfig()).still == 0
     assert tour.stills.of(1) == () and tour.labels.count([ReviewState.PROPOSED]) > 0
+    monkeypatch.setattr(still_votes, "LEAST_SPAN", FRAMES - 2)
+    monkeypatch.setattr(still_votes, "STEADY_IOU", 1.0)
+    assert still_votes.vote_stills(tour, [1], "ann", new_action()) == 0
+    monkeypatch.undo()
+    monkeypatch.setattr(still_votes, "LEAST_SPAN", FRAMES - 2)
+    assert still_votes.vote_stills(tour, [1], "ann", new_action()) >= 2
 
 
 def look_from(angle: float, box: OrientedBox, shift: np.ndarray, scale: np.ndarray, frame: int) -> Vote:
@@ -161,3 +221,15 @@ def test_exact_image_boxes_outvote_wrong_depths(seed: int) -> None:
     alone = [iou_3d(vote.in_world, box) for vote in votes]
     assert len(found.votes) == len(votes)
     assert iou_3d(found.box, box) >= np.mean(alone)
+
+
+def test_what_fills_the_image_is_no_vote_for_an_object_behind() -> None:
+    """None of its edges is known, so its image box fits everything."""
+    behind = OrientedBox.from_parts(np.array([0, 6, 1.0]), np.eye(3), np.ones(3))
+    near = OrientedBox.from_parts(np.array([0, -1.2, 1.0]), np.eye(3), np.array([4.0, 2.0, 4.0]))
+    still = np.zeros(3)
+    votes = [look_from(0.02 * frame, behind, still, np.ones(3), frame) for frame in range(4)]
+    last = look_from(0.0, near, still, np.ones(3), 4)
+    assert last.edges == (None, None, None, None)
+    (found,) = agreed(grouped([*votes, last]))
+    assert list(found.votes) == votes

@@ -20,7 +20,7 @@ from annotator.project.backup.verify import verify
 from annotator.recordings import Recording, open_recording
 from annotator.synthetic import write_generated
 from annotator.types import Frame, PointCloud, ReviewState
-from annotator.types.errors import ConfigError, HistoryError
+from annotator.types.errors import ConfigError, HistoryError, ProjectError
 from annotator.workflows.add_recordings import add_recordings, register_recording
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.poses import estimate_poses, poses_of
@@ -142,6 +142,8 @@ def test_objects_stand_still_by_estimated_poses_which_are_one_action(
     assert project.history.undo(BOB).words == "estimate the poses of tour"
     assert poses_of(project, 1).source == "none" and project.stills.poses(1) == {}
     assert FrameSource(project).read(frames[1]).T_world_camera is None
+    with pytest.raises(ProjectError, match="the poses of tour are not estimated"):
+        project.estimates.keep(1, (), ANN)
 
 
 def test_recorded_poses_stay_unless_they_are_replaced_and_come_back(recording: Recording, tmp_path: Path) -> None:

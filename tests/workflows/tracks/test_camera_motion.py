@@ -16,6 +16,7 @@ from annotator.project.changes import LabelChanged
 from annotator.project.records import BoxRecord
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.follow_object import Followed
+from annotator.recordings.poses import between
 from annotator.types import OrientedBox, ReviewState
 from annotator.workflows.checking.project_labels import check_project
 from annotator.workflows.frame_source import FrameSource
@@ -25,7 +26,7 @@ from annotator.workflows.tracks.follow_objects import Follower
 from annotator.workflows.tracks.link import link_tracks
 from annotator.workflows.tracks.operations import Fill, Merge, apply
 from annotator.workflows.tracks.propose_boxes import seeds_of
-from annotator.workflows.tracks.timeline import Moment
+from annotator.workflows.tracks.timeline import Moment, Timeline
 from annotator.workflows.workbench.save_object import apply_changes
 
 OPEN, ACCEPTED = ReviewState.PROPOSED, ReviewState.ACCEPTED
@@ -80,9 +81,16 @@ def test_a_gap_is_filled_in_the_world(room: Room, seed: int, step_m: float) -> N
     drive.assert_as_in_the_world(5)
 
 
-def test_a_frame_without_a_pose_has_that_of_the_nearest_with_one(room: Room) -> None:
-    drive = Drive(room, 0, missing=1)
-    drive.T_world_camera[1] = drive.T_world_camera[0]
+@pytest.mark.parametrize("missing", [1, 4])
+def test_a_frame_without_a_pose_is_between_those_beside_it(room: Room, missing: int) -> None:
+    drive = Drive(room, 0, missing=missing)
+    first, *_, last = [each for n, each in enumerate(drive.T_world_camera[:3]) if n != missing]
+    T = between(first, last, 0.5) if missing == 1 else drive.T_world_camera[3]
+    assert T is not None
+    drive.T_world_camera[missing] = T
+    read = Timeline(room.project, room.recording).moment(missing).frame.T_world_camera
+    assert read is not None
+    np.testing.assert_allclose(read.as_matrix(), T.as_matrix(), atol=1e-7)
     for index in (0, 4):
         drive.put(index)
     apply(room.project, room.recording, TRACK, Fill(), ANN)

@@ -160,6 +160,22 @@ def test_a_track_that_moves_after_all_has_proposals(tour: Tour) -> None:
     assert tour.ious() == pytest.approx(before)
 
 
+def test_what_was_rejected_neither_comes_back_nor_keeps_its_number(tour: Tour) -> None:
+    tour.put(0)
+    apply(tour.project, 1, STILL, StandStill(), ANN)
+    find_sightings(tour.project, 1)
+    (shown, *_) = tour.shown()
+    assert shown is not None
+    tour.change(0, LabelChanged(uid=shown.uid, state=ReviewState.REJECTED))
+    with pytest.raises(ConfigError, match="does not stand still"):
+        apply(tour.project, 1, STILL, Move(), ANN)
+    assert tour.project.labels.count([PROPOSED]) == 0
+    tour.put(3)
+    assert apply(tour.project, 1, STILL, StandStill(), ANN).count.changed == 1
+    find_sightings(tour.project, 1)
+    assert tour.project.labels.count([ACCEPTED]) == FRAMES
+
+
 def test_whole_track_operations_take_it_as_one_box(tour: Tour) -> None:
     tour.put(0)
     apply(tour.project, 1, STILL, StandStill(), ANN)
