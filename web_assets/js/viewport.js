@@ -54,6 +54,8 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
   let bench = null;
   /** @type {Wanted | null} */
   let wanted = null;
+  /** Where the viewer is to be moved with the next scene that is sent. @type {Api.Look | null} */
+  let looking = null;
   /** The scene that the server shows. @type {Wanted | null} */
   let last = null;
   /** Ends when the wanted scene is shown. @type {Promise<void> | null} */
@@ -116,7 +118,8 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     if (state === "unsupported" || project === null) return;
     // the first click of a double click selects a box, and the page hears of it after the second one
     const isDouble = performance.now() - doubleClickedAt < DOUBLE_MS && scene.selected !== last?.scene.selected;
-    wanted = { project, scene: isDouble ? { look: "focus", ...scene } : scene };
+    if (isDouble) looking ??= "focus";
+    wanted = { project, scene };
     void work();
   }
 
@@ -128,10 +131,11 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     void work();
   }
 
-  /** Shows the scene with the present settings, and moves the viewer. */
+  /** Shows the scene with the present settings, and moves the viewer, also if another scene comes before it is sent. */
   function look(/** @type {Api.Look | null} */ from) {
+    looking = from ?? looking;
     const scene = (wanted ?? last)?.scene;
-    if (scene) show({ ...scene, look: from ?? scene.look });
+    if (scene) show(scene);
   }
 
   /** Sends the wanted scene, one request at a time: a newer scene waits for the answer to an older one. */
@@ -175,18 +179,17 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
     const detail = graphics === "software" ? { most_points: SOFTWARE.points } : {};
     const { frame: open, project: info } = app.state;
     const colors = open && info && open.frame.id === scene.frame ? bar.boxColors(info, open.labels) : {};
-    const before = heard;
-    /** @type {Api.SceneAnswer} */
-    const answer = await app.api.put(`/api/workbench/${bench.id}/scene`, {
-      ...detail,
-      ...bar.settings,
-      theme: themeNow(),
-      colors,
-      ahead,
-      ...scene,
-    });
+    const [before, moving] = [heard, looking];
+    const content = { ...detail, ...bar.settings, theme: themeNow(), colors, ahead, look: moving, ...scene };
     // the viewer is moved once, not each time that the scene is shown again
-    last = { project, scene: { ...scene, look: null } };
+    looking = null;
+    /** @type {Promise<Api.SceneAnswer>} */
+    const asked = app.api.put(`/api/workbench/${bench.id}/scene`, content);
+    const answer = await asked.catch((error) => {
+      looking ??= moving;
+      throw error;
+    });
+    last = newest;
     if (wanted === newest) wanted = null;
     // what was heard meanwhile is newer
     if (heard === before) connected(answer.connected);
