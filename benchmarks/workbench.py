@@ -221,7 +221,8 @@ COUNTS = """() => {
   const { drawArrays } = gl;
   window.clouds = [];
   gl.drawArrays = function (mode, first, count) {
-    if (mode === this.POINTS) window.clouds.push([count, performance.now()]);
+    // the 3D view keeps a shader by a cloud of two points
+    if (mode === this.POINTS && count > 2) window.clouds.push([count, performance.now()]);
     drawArrays.call(this, mode, first, count);
   };
 }"""
