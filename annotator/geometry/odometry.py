@@ -132,8 +132,8 @@ class DepthImages:
         matrix = frame.camera.matrix.astype(np.float64)
         matrix[:2] /= every
         images = (o3d.t.geometry.Image(o3d.core.Tensor(each)) for each in (rgb, depth_m))
-        grey = rgb.mean(axis=2)[:-1, :-1]
-        edges = np.abs(rgb.mean(axis=2)[1:, :-1] - grey) + np.abs(rgb.mean(axis=2)[:-1, 1:] - grey)
+        grey = rgb.mean(axis=2)
+        edges = np.abs(grey[1:, :-1] - grey[:-1, :-1]) + np.abs(grey[:-1, 1:] - grey[:-1, :-1])
         normals = normals_knn(every_nth(frame.cloud.xyz_m, NORMAL_POINTS), NEIGHBOURS)
         grip = max(_least_share(normals), float((edges > EDGE).mean()))
         share = float(((depth_m > 0) & (depth_m < FARTHEST_M)).mean())

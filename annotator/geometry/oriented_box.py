@@ -47,6 +47,12 @@ def box_corners(box: OrientedBox) -> Float64[np.ndarray, "8 3"]:
     return corners(box.center_m, box.rotation, box.size_m)
 
 
+def reach_along(box: OrientedBox, directions: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray, "k 2"]:
+    """From where to where a box reaches along unit vectors in its frame, metres from the origin."""
+    half_m, middle_m = np.abs(directions @ box.rotation) @ box.size_m / 2, directions @ box.center_m
+    return np.stack([middle_m - half_m, middle_m + half_m], axis=1)
+
+
 def turn_of_heading(box: OrientedBox, other: OrientedBox) -> float:
     """The angle between the headings (+x) of two boxes, radians, 0 to pi. As in web_assets/js/box3d.js."""
     return float(np.arccos(np.clip(box.rotation[:, 0] @ other.rotation[:, 0], -1.0, 1.0)))

@@ -38,7 +38,7 @@ from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.iou import iou_3d_matrix
-from annotator.geometry.oriented_box import box_corners, canonical_box
+from annotator.geometry.oriented_box import box_corners, canonical_box, reach_along
 from annotator.geometry.outline import NEAR_M
 from annotator.rcv.first_look import edge_planes
 from annotator.rcv.interval_fit import Intervals, fit_box
@@ -100,7 +100,7 @@ class Vote:
 
     def sides(self, doubt: float) -> Intervals:
         """The box's own three intervals in the world."""
-        ends = _reach(self.in_world, directions := self.in_world.rotation.T)
+        ends = reach_along(self.in_world, directions := self.in_world.rotation.T)
         return Intervals(directions, ends, np.full((3, 2), doubt * float(self.box.size_m.mean())))
 
     def agreements(self, corners_m: Float64[np.ndarray, "k 8 3"]) -> Float64[np.ndarray, "k"]:
@@ -209,10 +209,8 @@ def _best(group: Sequence[Vote]) -> tuple[OrientedBox, float]:
     ious = iou_3d_matrix(boxes, boxes)
     middle = int(np.argmax(ious.sum(axis=0)))
     up = _up(boxes)
-    near, core = (
-        boxes[middle].rotation,
-        [vote for vote, iou in zip(votes, ious[middle], strict=True) if iou >= SAME_IOU],
-    )
+    near = boxes[middle].rotation
+    core = [vote for vote, iou in zip(votes, ious[middle], strict=True) if iou >= SAME_IOU]
     parts = [
         [vote.sides(doubt) for vote in some] + [vote.planes for vote in some if vote.planes is not None]
         for some in (core, votes)
@@ -238,11 +236,6 @@ def _up(boxes: Sequence[OrientedBox]) -> Float64[np.ndarray, "3"] | None:
     return mean if (axes @ mean).min() >= np.cos(UPRIGHT_RAD) else None
 
 
-def _reach(box: OrientedBox, directions: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray, "k 2"]:
-    half, middle = np.abs(directions @ box.rotation) @ box.size_m / 2, directions @ box.center_m
-    return np.stack([middle - half, middle + half], axis=1)
-
-
 def _median(boxes: Sequence[OrientedBox], up: Float64[np.ndarray, "3"] | None) -> Intervals:
     """The median of how far boxes reach, along directions across their upright axis and along it."""
     z = boxes[0].rotation[:, 2] if up is None else up
@@ -252,5 +245,5 @@ def _median(boxes: Sequence[OrientedBox], up: Float64[np.ndarray, "3"] | None) -
     directions = np.concatenate([around, [z] * 4])
     if up is None:
         directions = np.concatenate([boxes[0].rotation.T, *(box.rotation.T for box in boxes)])
-    ends = np.median([_reach(box, directions) for box in boxes], axis=0)
+    ends = np.median([reach_along(box, directions) for box in boxes], axis=0)
     return Intervals(directions, ends, np.full(ends.shape, PLANE_DOUBT))

@@ -177,10 +177,9 @@ def visible(frame: Frame, box: OrientedBox) -> tuple[int, float]:
     xyz_m, outline = frame.cloud.xyz_m, box_on_image(frame.camera, box, "")
     if outline is None:
         return 0, 0.0
-    inside = contains(box, xyz_m)
-    before = in_frustum(frame.camera, xyz_m, outline) & ~inside & (xyz_m[:, 2] < box_corners(box)[:, 2].min())
     around = in_frustum(frame.camera, xyz_m, outline)
-    return int(np.count_nonzero(inside)), float(before.sum() / max(int(around.sum()), 1))
+    before = around & (xyz_m[:, 2] < box_corners(box)[:, 2].min())
+    return int(np.count_nonzero(contains(box, xyz_m))), float(before.sum() / max(int(around.sum()), 1))
 
 
 # --- which tracks stand still -----------------------------------------------------------------------------------------

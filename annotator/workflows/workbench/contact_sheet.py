@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int64, UInt8
 
-from annotator.geometry.oriented_box import contains
+from annotator.geometry.oriented_box import contains, reach_along
 from annotator.geometry.projection import every_nth, thin
 from annotator.image_bytes import encoded_image
 from annotator.project import Effort, FramePart, Project, StoredFrame, WriteContext
@@ -145,9 +145,7 @@ def picture(frame: Frame, box: OrientedBox) -> UInt8[np.ndarray, "h w 3"]:
         left = number * (VIEW_PX + GAP_PX)
         part = strip[:, left : left + VIEW_PX]
         part[:] = view.rgb
-        axes = view.axes[:2]
-        half_m = np.abs(axes @ box.rotation) @ box.size_m / 2
-        ends_m = axes @ box.center_m + np.array([[-1.0], [1.0]]) * half_m
+        ends_m = reach_along(box, view.axes[:2]).T
         ends = np.rint((ends_m - view.origin_m) / view.metres_per_px).astype(int)
         (x0, y0), (x1, y1) = np.clip(ends, 0, VIEW_PX - 1).tolist()
         part[y0 : y1 + 1, [x0, x1]] = part[[y0, y1], x0 : x1 + 1] = LINE
