@@ -114,3 +114,15 @@ export function fakeBrowser() {
   });
   return make;
 }
+
+/** A box 3 m before the camera, and a longer one. */
+export const BOX = {
+  center: [0, 0, 3],
+  size: [1, 1, 1],
+  rotation: [
+    [1, 0, 0],
+    [0, 1, 0],
+    [0, 0, 1],
+  ],
+};
+export const LONGER = { ...BOX, size: [2, 1, 1] };

@@ -1,8 +1,9 @@
-/** What a job waits for. */
+/** What a job waits for, and which of what is heard of it is newer. */
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { waiting } from "../../web_assets/js/jobs.js";
+import { readJobs, takeJob, waiting } from "../../web_assets/js/jobs.js";
+import { fakeApp, held } from "./fakes.js";
 
 const job = (/** @type {Partial<Api.Job>} */ changes) =>
   /** @type {Api.Job} */ ({
@@ -34,4 +35,25 @@ test("a job that waits names the running one of its lane, how long that takes, a
   );
   assert.equal(waiting(own, [own, first]), "Waits for 1 job");
   assert.equal(waiting(own, [own, ...others]), "About to begin");
+});
+
+test("what is heard of a job is newer than answers about it", async () => {
+  const { promise, resolve } = held();
+  const mine = { id: "1", kind: "import", state: "queued", project: "room" };
+  const app = fakeApp({ get: () => promise, state: { jobs: [{ ...mine, id: "0" }] } });
+  const read = readJobs(app);
+  app.state.set({ jobs: [{ ...mine, state: "done" }, ...app.state.jobs] });
+  takeJob(app, mine);
+  resolve([
+    { ...mine, state: "running" },
+    { ...mine, id: "0", state: "failed" },
+  ]);
+  await read;
+  assert.deepEqual(
+    app.state.jobs.map(({ id, state }) => [id, state]),
+    [
+      ["1", "done"],
+      ["0", "failed"],
+    ],
+  );
 });

@@ -1,9 +1,10 @@
 /**
  * The key table, and the listener that calls its handlers.
  *
- * A row defines what a key does; modes register handlers by the row's id. While a row has no handler, the browser (or the focused 2D editor) gets the key. The listener runs in the capture phase, also in the 3D
- * view's iframe, so that keys work wherever the focus is. Keys typed into a text field belong to the field. A key that
- * does not belong to its field leaves it, so that what was typed is stored before the handler runs.
+ * A row defines what a key does; modes register handlers by the row's id. While a row has no handler, the browser (or
+ * the focused 2D editor) gets the key. The listener runs in the capture phase, also in the 3D view's iframe, so that keys
+ * work wherever the focus is. Keys typed into a text field belong to the field. A key that does not belong to its field
+ * leaves it, so that what was typed is stored before the handler runs.
  *
  * A key's name has its modifiers in the order Ctrl+Alt+Shift (Cmd counts as Ctrl), then a letter in capitals, a digit,
  * another character as typed (`?`, `+`), or the name from KeyboardEvent.key. The space bar is "Space".

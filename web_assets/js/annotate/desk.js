@@ -444,7 +444,11 @@ export function createDesk(/** @type {App} */ app) {
       // a rejected or deleted box needs no correction
       const draft = drafts.get(id);
       if (kind !== "accept") drafts.delete(id);
-      const error = await send([{ kind, uid: id, here: isHereOnly(id) }], id);
+      const here = isHereOnly(id);
+      const isEverywhere = kind !== "accept" && !here && stored(id)?.still === true;
+      const error = await send([{ kind, uid: id, here }], id);
+      const done = kind === "reject" ? "rejected" : "deleted";
+      if (!error && isEverywhere) app.toast(`The object stands still: it was ${done} in all frames.`);
       if (error && draft && stored(id) && !drafts.has(id)) drafts.set(id, draft);
       return !error;
     },

@@ -140,7 +140,7 @@ export function createTracks(/** @type {Annotate} */ at) {
     const id = desk.stored()?.track_id ?? null;
     body.hidden = !label || id === null;
     if (!label || id === null) return;
-    title.textContent = `Track ${id}${label.still ? ", stands still" : ""}`;
+    title.textContent = `Track ${id}`;
     // the colours of tracks are too light for text
     const dot = h("span.dot");
     dot.style.background = trackColor(id);
@@ -148,7 +148,7 @@ export function createTracks(/** @type {Annotate} */ at) {
     actOf("values").hidden = Object.keys(label.attributes).length === 0;
     actOf("still").setAttribute("aria-pressed", String(label.still));
     here.hidden = !label.still;
-    for (const id of ["split", "merge", "fill"]) actOf(id).hidden = label.still;
+    for (const id of ["split", "merge", "fill", "delete"]) actOf(id).hidden = label.still;
     only.checked = desk.isHere;
   }
 
